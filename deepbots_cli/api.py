@@ -14,21 +14,19 @@ neither simulator nor learner, and not the back end of the compiler either, whic
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import engine_kinds
-from deepbots_cli.compiler import CheckedScenario, check
-from deepbots_cli.compiler.inputs import RESOLVED_NAME
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.diagnostics.nearest import nearest_word
-from deepbots_cli.document import Permissions, loads, shipped
-from deepbots_cli.document import load as read
-from deepbots_cli.document.load import NO_DRAFTS, TESTS, Drafts
+from deepbots_cli.document import Permissions
+from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.lint import all_findings
+from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -74,75 +72,29 @@ class Compiled:
         return digest(self.program)
 
 
-def locate(source: str | Path) -> tuple[Path, str]:
-    """The file of a scenario and how to call it.
-
-    Raises:
-        UsageError: No file or shipped scenario has this name, or it is a robot file.
-    """
-    path = Path(source)
-    if path.suffix.lower() in (".urdf", ".xacro"):
-        raise UsageError(f"{source} is a robot file, not a scenario; `deepbots inspect {source}` describes it")
-    if path.is_file():
-        return path, str(source)
-    found = shipped.scenario_path(str(source))  # a folder of the same name does not hide it
-    if found is None and path.exists():
-        return path, str(source)
-    if found is not None:
-        return found, found.name
-    written = [path.with_name(path.name + ending) for ending in (".yaml", ".yml")]
-    beside = next((str(file) for file in written if file.is_file()), None)
-    if beside is not None:
-        raise UsageError(f"no file or shipped scenario is called '{source}'; did you mean {beside}?")
-    names = shipped.scenario_names()
-    near = nearest_word(Path(source).stem, names)
-    hint = f"did you mean {near}? (`deepbots list` shows all)" if near else f"the shipped scenarios are: {', '.join(names)}"
-    raise UsageError(f"no file or shipped scenario is called '{source}'; {hint}")
-
-
 def load(
-    source: str | Path | Scenario,
+    source: str | Path | Scenario | Source,
     *,
     overrides: Sequence[str] = (),
     permissions: Permissions = Permissions(),
     drafts: Drafts = NO_DRAFTS,
-    project: Path | None = None,
     tests: bool = False,
 ) -> CheckedScenario:
     """Read and check a scenario; problems are in `.findings`, and nothing is raised for them.
 
     Args:
-        source: A path, the name of a shipped scenario, or a `Scenario`.
+        source: A path, the name of a shipped scenario, or a `Scenario`; or an open source, which has permissions of its own.
         overrides: Assignments `path=value`, as for `--set`.
         permissions: Folders outside the project that it may read from, and whether it may name functions of installed packages, which
             run when an environment is made of it.
         drafts: What to read in the place of files, by their absolute paths.
-        project: The folder that the scenario may read from; by default the nearest one above that looks like a project.
         tests: Whether to read `tests` also with `overrides`, which may change what the tests name.
 
     Raises:
         UsageError: There is no such file.
     """
-    if isinstance(source, Scenario):
-        document = loads(source.to_yaml(), f"<Scenario {source.name}>", overrides=overrides, permissions=permissions)
-    else:
-        path, name = locate(source)
-        document = read(path, overrides, display=name, permissions=permissions, drafts=drafts, project=project)
-    root = document.root
-    if overrides and not tests and root is not None:
-        root = replace(root, entries={key: entry for key, entry in root.entries.items() if key != TESTS})
-    return check(replace(document, root=root))
-
-
-def load_kept(folder: Path, *, overrides: Sequence[str] = (), permissions: Permissions = Permissions()) -> CheckedScenario:
-    """The scenario that a run, a group or a recording keeps in its folder, which reads only files of this folder.
-
-    It may name functions of installed packages: building a world asks whether they may run.
-
-    Raises:
-        UsageError: The folder keeps no scenario.
-    """
-    return load(folder / RESOLVED_NAME, overrides=overrides, permissions=replace(permissions, code=True), project=folder)
+    opened = source if isinstance(source, Source) else Source.open(source, permissions, SourceKind.SCENARIO)
+    return opened.checked(overrides=overrides, drafts=drafts, tests=tests)
 
 
 def lint(
@@ -165,17 +117,19 @@ def lint(
 
 
 def compile(
-    source: str | Path | Scenario | CheckedScenario,
+    source: str | Path | Scenario | Source | CheckedScenario | Compiled,
     *,
     overrides: Sequence[str] = (),
     permissions: Permissions = Permissions(),
 ) -> Compiled:
-    """Compile a scenario: text to intermediate representation to generated Python.
+    """Compile a scenario: text to intermediate representation to generated Python; a compiled one is returned as it is.
 
     Raises:
         ScenarioError: The scenario has findings at error level.
         UsageError: There is no such file.
     """
+    if isinstance(source, Compiled):
+        return source
     checked = source if isinstance(source, CheckedScenario) else load(source, overrides=overrides, permissions=permissions)
     findings = all_findings(checked)
     if checked.program is None or any(finding.severity == "error" and not finding.is_internal_error for finding in findings):

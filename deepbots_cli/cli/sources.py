@@ -7,19 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deepbots_cli import api
-from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.compiler.inputs import RESOLVED_NAME
-from deepbots_cli.diagnostics import Finding, Findings, Source
+from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import MappingNode, Node, Permissions, descend, files, inline_text, shipped
-from deepbots_cli.document.parse import parse
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
-from deepbots_cli.learning.group import is_group
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.robots import meshes
 from deepbots_cli.robots.reader import RobotFile, read
+from deepbots_cli.rollout.source import Source, SourceKind
 
 
 @dataclass(frozen=True)
@@ -69,19 +66,14 @@ def open_source(source: str, overrides: Sequence[str], permissions: Permissions,
         UsageError: There is no such file or run.
         ScenarioError: The scenario has errors.
     """
-    path = Path(source)
-    if path.is_dir() and ((path / "run.json").exists() or shipped.scenario_path(source) is None):
-        kind = "a group" if is_group(path) else "a run"
-        if overrides:
-            raise UsageError(f"--set changes a scenario, and {source} is {kind}, which stays as it was trained")
-        if is_group(path):
-            return _compiled(api.load_kept(path))
-        run, resolved = Run.open(path), path / RESOLVED_NAME
-        return OpenedSource(run.program, parse(Source(str(resolved), resolved.read_text(encoding="utf-8-sig")), Findings()), run)
-    return _compiled(api.load(source, overrides=with_engine(overrides, engine), permissions=permissions))
-
-
-def _compiled(checked: CheckedScenario) -> OpenedSource:
+    opened = Source.open(source, permissions, SourceKind.SCENARIO, SourceKind.RUN, SourceKind.GROUP)
+    if opened.kind is not SourceKind.SCENARIO and overrides:
+        kind = "a group" if opened.kind is SourceKind.GROUP else "a run"
+        raise UsageError(f"--set changes a scenario, and {source} is {kind}, which stays as it was trained")
+    if opened.kind is SourceKind.RUN:
+        run = Run.open(opened)
+        return OpenedSource(run.program, opened.document().root, run)
+    checked = opened.checked(overrides=with_engine(overrides, engine) if opened.kind is SourceKind.SCENARIO else ())
     compiled = api.compile(checked)
     return OpenedSource(compiled.program, checked.document.root, findings=compiled.findings)
 

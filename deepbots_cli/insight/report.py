@@ -32,13 +32,14 @@ from deepbots_cli.insight import figures
 from deepbots_cli.insight.card import render_template
 from deepbots_cli.insight.training import lint_findings
 from deepbots_cli.learning.episodes import UNBOUNDED
-from deepbots_cli.learning.group import Group, is_group
+from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.run import EvaluationWithEpisodes, Run, in_parentheses, is_training
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
 from deepbots_cli.view import pictures, plots, trajectories
-from deepbots_cli.view.episodes import Player, Source
+from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import LinkName
 from deepbots_cli.view.plots import TrainingLog
 from deepbots_cli.view.trajectories import Moving, Positions
@@ -133,7 +134,8 @@ class Report:
         Raises:
             RunError: It cannot be read, or holds no evaluation.
         """
-        if not is_group(path):
+        source = Source.open(path, Permissions(), SourceKind.RUN, SourceKind.GROUP)
+        if source.kind is SourceKind.RUN:
             return Report(path, [ReportRun.read(path)], ["the training goes on"] if is_training(path) else [])
         group, members, notes = Group.open(path), list[ReportRun](), list[str]()
         for seed in group.record.seeds:
@@ -162,7 +164,7 @@ class Report:
     def result(self) -> str:
         """The result in one line, with its interval."""
         found = [member.evaluation for member in self.runs]
-        if not is_group(self.path):
+        if folder_kind(self.path) is not SourceKind.GROUP:
             return self.runs[0].verdict.text
         text = "mean return " + _seed_statistics("{:.4g}", [each.mean_return for each in found])
         rates = [each.success_rate for each in found if each.success_rate is not None]
@@ -194,8 +196,8 @@ class Report:
         self.episodes = shown
         ordered = sorted(shown, key=lambda each: self.runs.index(each.run))
         for member, mine in groupby(ordered, lambda each: each.run):
-            source = Source(str(member.run.path), engine=member.evaluation.engine, permissions=permissions)
-            with closing(source.open().player()) as player:
+            shown_run = Showing(str(member.run.path), engine=member.evaluation.engine, permissions=permissions)
+            with closing(shown_run.open().player()) as player:
                 for each in mine:
                     frames = player.episode(member.evaluation.seed, each.number)
                     first = next(frames)

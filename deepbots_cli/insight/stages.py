@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from deepbots_cli.compiler.inputs import RESOLVED_NAME
-from deepbots_cli.document import descend, load
+from deepbots_cli.document import descend
 from deepbots_cli.document.nodes import MappingNode, inline_text
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text
@@ -19,6 +18,7 @@ from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, return
 from deepbots_cli.learning.episodes import DrawnBin, by_drawn_value
 from deepbots_cli.program.task import Criterion
 from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.source import Source
 
 _MIN_QUARTER = 30  # episodes in a quarter of a stage, below which its success rate is too uncertain to be called flat
 _BINS = 20  # parts of a stage in which a plateau is sought
@@ -88,7 +88,7 @@ def _until(until: Criterion, value: float, *, in_evaluation: bool = False) -> st
 def stage_changes(t: TrainingEvidence) -> str:
     """What the present stage sets otherwise than the one before: `near: 4 cm -> 1 mm`; "" where that is not known."""
     try:
-        root = load(t.run.path / RESOLVED_NAME, project=t.run.path).root
+        root = Source.kept(t.run.path).document().root
     except DeepbotsError:
         return ""
     sets: list[dict[str, str]] = []

@@ -27,7 +27,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.rollout import Start, play, steps
 from deepbots_cli.rollout.drivers import sequence_driver
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.view.episodes import SourceState
+from deepbots_cli.view.episodes import ShowingState
 from deepbots_cli.view.frames import value_of_row
 from deepbots_cli.view.recordings import RecordedEpisode, Recording, observation_hash
 from deepbots_cli.view.replay import actions, observation_hash_at, version_changes
@@ -192,7 +192,7 @@ def _world(watch: InstrumentedProgram, engine: str | None, permissions: Permissi
 # Recordings and failures
 
 
-def trace_recorded(opened: SourceState, episodes: Sequence[RecordedEpisode]) -> Iterator[Trace]:
+def trace_recorded(opened: ShowingState, episodes: Sequence[RecordedEpisode]) -> Iterator[Trace]:
     """Episodes of a recording that is open, each run again with its actions.
 
     Raises:
@@ -201,7 +201,7 @@ def trace_recorded(opened: SourceState, episodes: Sequence[RecordedEpisode]) -> 
     """
     recording: Recording = opened.recording
     assert opened.program is not None  # a recording that does not compile is refused when it is opened
-    with closing(_world(instrument_program(opened.program), opened.source.engine, opened.source.permissions)) as world:
+    with closing(_world(instrument_program(opened.program), opened.shown.engine, opened.shown.permissions)) as world:
         for recorded in episodes:
             again = steps(world, sequence_driver(actions(recording, recorded, world.action_space)), Start(recorded.seed))
             for place in range(len(recorded.steps)):

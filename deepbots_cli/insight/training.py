@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
 from shlex import join, quote
@@ -34,6 +34,7 @@ from deepbots_cli.program import CurriculumStage, Program
 from deepbots_cli.program.task import Schedule, idle_action
 from deepbots_cli.rollout import Driver, Episode, Start, steps
 from deepbots_cli.rollout.drivers import action_from_values, constant_driver, random_driver
+from deepbots_cli.rollout.source import Source
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.plots import logs_of, scalars_of
@@ -231,14 +232,13 @@ def lint_findings(run: Run) -> tuple[str, Sequence[Finding]]:
     overrides, folder = changed_settings(record.command), run.path / INPUTS_FOLDER
     own = folder / next(iter(record.inputs), RESOLVED_NAME)
     try:
-        compiled = api.compile(
-            api.load(own, overrides=with_engine(overrides, record.engine), permissions=Permissions(code=True), project=folder)
-        )
+        source = replace(Source.kept(folder), scenario=own)
+        compiled = api.compile(source, overrides=with_engine(overrides, record.engine))
         if compiled.digest == run.digest:
             return join([str(own), "--allow-path", str(folder), *(f"--set={text}" for text in overrides)]), compiled.findings
     except DeepbotsError:
         pass
-    return quote(str(resolved)), api.compile(api.load_kept(run.path)).findings
+    return quote(str(resolved)), run.compiled.findings
 
 
 def read_training(run: Run) -> TrainingEvidence:

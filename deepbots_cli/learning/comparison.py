@@ -13,13 +13,14 @@ from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.learning.environments import WorldFactory, compiled_scenario
+from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.episodes import Interval
 from deepbots_cli.learning.evaluation import EvaluationResult, StopCondition, evaluate
-from deepbots_cli.learning.group import Group, is_group
+from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.run import ModelName, Run, run_folders
 from deepbots_cli.learning.statistics import Difference, compare_episodes, compare_seeds, interquartile_mean, mean_interval
 from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.source import SourceKind, folder_kind
 from deepbots_cli.scenario import Scenario
 
 MIN_SEEDS = 3
@@ -181,13 +182,12 @@ def compare(
     opened = [run for group in members for run in group.runs]
     if len(opened) < 2:
         raise UsageError("a comparison needs at least two runs")
-    base = opened[0].path
     if own:
         judged = None
     elif scenario is None:
-        judged = api.compile(api.load_kept(base))
+        judged = opened[0].compiled
     else:
-        judged = compiled_scenario(scenario)
+        judged = api.compile(scenario)
     count = 0
     groups = []
     for group in members:
@@ -266,7 +266,7 @@ def evaluate_group(
         RunError: The folder is no group, or none of its runs has a model; else as for `evaluate`.
     """
     members = _open_runs(Group.open(group))
-    judged = None if scenario is None else compiled_scenario(scenario)
+    judged = None if scenario is None else api.compile(scenario)
     results: list[EvaluationResult] = []
     before: list[Episode] = []
 
@@ -294,7 +294,7 @@ def _members(paths: Sequence[Path]) -> list[_GroupMembers]:
     found: dict[object, _GroupMembers] = {}
     single: dict[object, list[Run]] = {}
     for path in paths:
-        if is_group(path):
+        if folder_kind(path) is SourceKind.GROUP:
             found[path] = _open_runs(Group.open(path))
             continue
         for run in map(Run.open, run_folders([path])):

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any, Protocol
 
 import gymnasium as gym
@@ -20,14 +19,12 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 from deepbots_cli import api
-from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Episode, EpisodeAccumulator
 from deepbots_cli.rollout.episode import set_random_state
 from deepbots_cli.runtime.batch import EpisodeHistory
-from deepbots_cli.scenario import Scenario
 
 World = gym.Env[Any, Any]
 Outcome = tuple[Any, float, bool, bool, dict[str, Any]]
@@ -38,11 +35,6 @@ class WorldFactory(Protocol):
     """Makes the world of a compiled scenario; `render_mode` as in Gymnasium."""
 
     def __call__(self, program: Program, *, render_mode: str | None = None) -> World: ...
-
-
-def compiled_scenario(scenario: Compiled | Scenario | str | Path) -> Compiled:
-    """The scenario as it is, or compiled if a `Scenario`, a path or the name of a shipped one is given."""
-    return api.compile(scenario) if isinstance(scenario, (str, Path, Scenario)) else scenario
 
 
 def default_factory(engine: str, *, permissions: Permissions = Permissions()) -> WorldFactory:

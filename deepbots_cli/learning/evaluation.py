@@ -23,13 +23,14 @@ from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 
+from deepbots_cli import api
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.api import Compiled, build_batch
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning import algorithms, batch, models, video
-from deepbots_cli.learning.environments import VectorEnvironment, World, WorldFactory, compiled_scenario, default_factory, has_copies
+from deepbots_cli.learning.environments import VectorEnvironment, World, WorldFactory, default_factory, has_copies
 from deepbots_cli.learning.episodes import UNBOUNDED, DrawnBin, Summary, by_drawn_value, statistics_of
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.run import ModelName, Run, in_parentheses, remark_on_episodes
@@ -158,7 +159,7 @@ def evaluate(
         MissingExtraError: A video is wanted and imageio is not installed.
     """
     known = run if isinstance(run, Run) else Run.open(run)
-    judged = None if scenario is None else compiled_scenario(scenario)
+    judged = None if scenario is None else api.compile(scenario)
     program, count, root = _evaluation_settings(known, episodes, seed, judged, case, stage)
     video_to = None if video_to is None else Path(video_to)
     if video_to is not None:
@@ -209,7 +210,7 @@ def evaluate_baselines(
     by the action space, which the seed of each episode seeds.
     """
     known = run if isinstance(run, Run) else Run.open(run)
-    judged = None if scenario is None else compiled_scenario(scenario)
+    judged = None if scenario is None else api.compile(scenario)
     program, count, root = _evaluation_settings(known, episodes, seed, judged, case, stage)
     results = []
     engine = engine or known.engine_for(program)
@@ -234,7 +235,7 @@ def evaluate_cases(
     `options` are those of `evaluate`, except for `case`, `stage` and `until`.
     """
     known = run if isinstance(run, Run) else Run.open(run)
-    judged = None if scenario is None else compiled_scenario(scenario)
+    judged = None if scenario is None else api.compile(scenario)
     program = known.program if judged is None else judged.program
     cases = [evaluate(known, scenario=judged, case=case.name, **options) for case in program.cases]
     return (*cases, *(evaluate(known, scenario=judged, stage=stage.name, **options) for stage in program.curriculum if stages))

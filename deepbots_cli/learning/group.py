@@ -26,8 +26,6 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.run import (
-    GROUP_RECORD_NAME,
-    RECORD_NAME,
     RecordFormat,
     RunRecord,
     TrainingOptions,
@@ -38,6 +36,7 @@ from deepbots_cli.learning.run import (
     timestamp,
     write_text,
 )
+from deepbots_cli.rollout.source import GROUP_RECORD_NAME, Source, SourceKind, folder_kind
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.environments import WorldFactory
@@ -82,15 +81,13 @@ class Group:
     record: GroupRecord
 
     @staticmethod
-    def open(path: str | Path) -> Group:
+    def open(path: str | Path | Source) -> Group:
         """A group that exists.
 
         Raises:
             RunError: The folder is no group, its record is damaged, or a newer deepbots wrote it.
         """
-        path = Path(path)
-        if not is_group(path):
-            raise RunError(f"{path} is not a group of runs: it holds no {GROUP_RECORD_NAME}")
+        path = Source.open(path, Permissions(), SourceKind.GROUP).path
         found = read_json(path / GROUP_RECORD_NAME, RecordFormat, _MAX_RECORD_BYTES).format
         if found != FORMAT:
             raise RunError(f"{path} is a group of format {found}, this deepbots reads {FORMAT}; use the deepbots that wrote it")
@@ -113,17 +110,12 @@ class Group:
     @property
     def runs(self) -> list[Path]:
         """The folders of the runs that have begun, in the order of the seeds."""
-        return [self.run(seed) for seed in self.record.seeds if (self.run(seed) / RECORD_NAME).is_file()]
+        return [self.run(seed) for seed in self.record.seeds if folder_kind(self.run(seed)) is SourceKind.RUN]
 
     @property
     def runs_with_model(self) -> list[Path]:
         """The folders of the runs that have a model."""
         return [run for run in self.runs if any(run.glob("models/*/best.zip"))]
-
-
-def is_group(path: Path) -> bool:
-    """Whether the folder is a group of runs."""
-    return (path / GROUP_RECORD_NAME).is_file()
 
 
 @dataclass(frozen=True)
@@ -237,7 +229,7 @@ def resume_group(
             plugins.check(followers.get("callbacks", ()), followers.get("loggers", ()))
             known = Group(known.path, known.record.model_copy(update=followers))
             known.write()
-        compiled = api.compile(api.load_kept(known.path))
+        compiled = api.compile(Source.open(known.path))
         compiled = replace(compiled, source=Path(known.record.source), permissions=permissions)
         changes = followers | {name: value for name, value in given.items() if value is not None}
         return _train_seeds(known, compiled, changes, on_seed, progress=progress, build=build)
@@ -255,7 +247,7 @@ def _train_seeds(group: Group, compiled: Compiled, changes: Mapping[str, Any], o
     for place, seed in enumerate(seeds):
         path = group.run(seed)
         try:
-            begun = RunRecord.read(path) if (path / RECORD_NAME).is_file() else None
+            begun = RunRecord.read(path) if folder_kind(path) is SourceKind.RUN else None
             if begun is not None and _is_done(begun, changes.get("total_timesteps")):
                 skipped.append(seed)
                 continue

@@ -9,14 +9,12 @@ from pathlib import Path
 from statistics import fmean
 from typing import Literal
 
-from deepbots_cli.compiler.inputs import RESOLVED_NAME
-from deepbots_cli.document import MappingNode, load
+from deepbots_cli.document import MappingNode
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.episodes import WINDOW_EPISODES, read_log
-from deepbots_cli.learning.group import Group, is_group
+from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.run import (
-    RECORD_NAME,
     EvaluationRecord,
     RunRecord,
     changed_settings,
@@ -24,6 +22,7 @@ from deepbots_cli.learning.run import (
     numbered_files,
 )
 from deepbots_cli.learning.verdict import run_verdict
+from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
 
 State = Literal["training", "finished", "interrupted", "failed", "unreadable"]
 _TAIL_BYTES = 64_000
@@ -73,16 +72,16 @@ def list_runs(folder: Path) -> list[ListedRun]:
     """The runs and groups in a folder, the one that changed last at the end; those of a group in the order of their seeds."""
     if not folder.is_dir():
         return []
-    if is_group(folder):
+    if folder_kind(folder) is SourceKind.GROUP:
         return list(_listed_group(folder).runs)
-    found = [path for path in folder.iterdir() if (path / RECORD_NAME).is_file() or is_group(path)]
+    found = [path for path in folder.iterdir() if folder_kind(path) is not None]
     return sorted((read_listed(path) for path in found), key=lambda run: (run.updated, run.path.name))
 
 
 def read_listed(path: Path) -> ListedRun:
     """A run or a group; files that cannot be read are its `problem`."""
     try:
-        return _listed_group(path) if is_group(path) else _listed_run(path)
+        return _listed_group(path) if folder_kind(path) is SourceKind.GROUP else _listed_run(path)
     except DeepbotsError as error:
         return ListedRun(path, "unreadable", problem=str(error))
 
@@ -199,7 +198,7 @@ def _cpu_of_checkpoint(run: Path) -> float | None:
 def _defines_success(run: Path) -> bool:
     """Whether the scenario of a run has a goal or an ending that is a success."""
     try:
-        root = load(run / RESOLVED_NAME, project=run).root
+        root = Source.kept(run).document().root
     except DeepbotsError:
         return False
     endings = root.get("termination") if root is not None else None

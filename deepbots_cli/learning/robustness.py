@@ -9,19 +9,19 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
-from deepbots_cli.compiler import check
-from deepbots_cli.compiler.inputs import RESOLVED_NAME
-from deepbots_cli.document import MappingNode, Node, Permissions, ScalarNode, load
+from deepbots_cli.document import MappingNode, Node, Permissions, ScalarNode
 from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.world import RobotBody
+from deepbots_cli.rollout.source import Source, SourceKind
 
 EPISODES_PER_LEVEL = 50
 """Episodes of a level, unless the scenario asks for fewer."""
@@ -148,15 +148,10 @@ def evaluate_robustness(
         UsageError: There is no such scenario, or nothing of this name has a mass.
     """
     known = run if isinstance(run, Run) else Run.open(run)
-    base, project = (known.path / RESOLVED_NAME, known.path) if scenario is None else (api.locate(scenario)[0], None)
-    base = base.resolve()
-    reading = permissions if scenario is not None else replace(permissions, code=True)  # worlds that run the functions of a run ask again
-
-    def changed(change: Change) -> Compiled:
-        return changed_scenario(base, change, overrides=overrides, permissions=reading, project=project)
-
+    base = Source.kept(known.path, permissions) if scenario is None else Source.open(scenario, permissions, SourceKind.SCENARIO)
+    changed = partial(changed_scenario, base, overrides=overrides)
     plain = changed({})
-    root = load(base, overrides, permissions=permissions, project=project).root
+    root = base.document(overrides=overrides).root
     count = min(EPISODES_PER_LEVEL, plain.program.evaluation.episodes) if episodes is None else episodes
     given: dict[str, Any] = {"episodes": count, "seed": seed, "model": model, "permissions": permissions, **options}
     planned = list(plans(root, plain.program, mass_of)) if root is not None else []
@@ -188,27 +183,20 @@ def evaluate_robustness(
     return Robustness(known.path, plain.program.name, metric, bar, source, nominal, tuple(conditions))
 
 
-def changed_scenario(
-    base: Path,
-    change: Change,
-    *,
-    overrides: Sequence[str] = (),
-    permissions: Permissions = Permissions(),
-    project: Path | None = None,
-) -> Compiled:
-    """The scenario in the file `base` with the keys of `change` and without its cases, compiled; `overrides` are applied last.
+def changed_scenario(base: Source, change: Change, *, overrides: Sequence[str] = ()) -> Compiled:
+    """The scenario of `base` with the keys of `change` and without its cases, compiled; `overrides` are applied last.
 
     Raises:
         ScenarioError: The changed scenario has errors.
     """
     # A case may replace what a change modifies, such as the ground by a terrain.
-    cases = _node(load(base, permissions=permissions, project=project).root, "evaluation", "cases")
-    removed: Change = {"remove": ["evaluation.cases"]} if cases is not None else {}
+    document = base.document()
+    removed: Change = {"remove": ["evaluation.cases"]} if _node(document.root, "evaluation", "cases") is not None else {}
     # A draft beside the scenario: nothing is written, and relative paths mean the same.
-    path = base.with_name(f"{base.stem}.changed.yaml")
-    text = json.dumps({"extends": base.name, **removed, **change})
-    document = load(path, overrides, permissions=permissions, drafts={path: text.encode()}, project=project)
-    return replace(api.compile(check(document)), source=base)
+    path = document.path.with_name(f"{document.path.stem}.changed.yaml")
+    text = json.dumps({"extends": document.path.name, **removed, **change})
+    checked = replace(base, scenario=path).checked(overrides=overrides, drafts={path: text.encode()})
+    return replace(api.compile(checked), source=document.path)
 
 
 def _level(label: str, result: EvaluationResult, metric: Metric, bar: float) -> RobustnessLevel:

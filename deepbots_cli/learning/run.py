@@ -18,6 +18,7 @@ A directory is made once and never overwritten. All files are replaced whole, so
 from __future__ import annotations
 
 import json
+import os
 import platform
 import re
 import shutil
@@ -25,6 +26,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from itertools import pairwise
 from pathlib import Path
@@ -36,6 +38,7 @@ import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.files import atomic_write, unwritable_message
 from deepbots_cli.learning.curriculum import CompletedStage
@@ -43,13 +46,11 @@ from deepbots_cli.learning.episodes import SolvedAt
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import ONLY_AGENT
 from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.source import RECORD_NAME, Source, SourceKind, folder_kind
 
 FORMAT = 4
 """Of the run directory as a whole; raised when an older deepbots could no longer read it."""
 
-RECORD_NAME = "run.json"
-GROUP_RECORD_NAME = "group.json"
-"""The record of a folder with runs of several seeds (`group.py`)."""
 ModelName = Literal["best", "last"]
 Status = Literal["running", "finished", "interrupted", "failed"]
 M = TypeVar("M", bound=BaseModel)
@@ -162,17 +163,9 @@ class RunRecord(BaseModel):
         """The record of a run.
 
         Raises:
-            RunError: The folder is not a run, its record is damaged, or was written in a format that this deepbots does not know.
+            RunError: The record is missing, damaged, or was written in a format that this deepbots does not know.
         """
-        if not folder.is_dir():
-            inside = Path("runs") / folder
-            hint = f"; did you mean {inside}?" if not folder.exists() and inside.is_dir() else ""
-            raise RunError(f"{folder} is not a run: {'it is a file' if folder.exists() else 'there is no such directory'}{hint}")
         path = folder / RECORD_NAME
-        if (folder / GROUP_RECORD_NAME).is_file():
-            raise RunError(f"{folder} is a group of runs, and not a run; name one of its runs, such as {folder}/seed-0")
-        if not path.is_file():
-            raise RunError(f"{folder} is not a run: it holds no {RECORD_NAME}")
         found = read_json(path, RecordFormat, _MAX_RECORD_BYTES).format
         if found != FORMAT:
             age = "a newer deepbots" if found > FORMAT else "an older deepbots"
@@ -219,12 +212,19 @@ def write_text(path: Path, text: str) -> None:
 
 @dataclass
 class Run:
-    """One run on disk; `record` is what its `run.json` says, `digest` that of its scenario as it compiles now."""
+    """One run on disk; `record` is what its `run.json` says, `compiled` its scenario as it compiles now."""
 
     path: Path
     record: RunRecord
-    program: Program
-    digest: str
+    compiled: Compiled
+
+    @property
+    def program(self) -> Program:
+        return self.compiled.program
+
+    @cached_property
+    def digest(self) -> str:
+        return self.compiled.digest
 
     @property
     def checkpoints(self) -> Path:
@@ -295,27 +295,28 @@ class Run:
             raise
 
     @staticmethod
-    def open(path: str | Path) -> Run:
+    def open(path: str | Path | Source) -> Run:
         """A run that exists. Its scenario is compiled anew, and only files of the run, shipped ones and installed packages are read.
 
         Raises:
             RunError: No run, damaged, of another format, or its policy does not fit its scenario; then says field by field why.
         """
-        path = Path(path)
+        source = Source.open(path, Permissions(), SourceKind.RUN)
+        path = source.path
         record = RunRecord.read(path)
         _check_plain(path)
         if not (path / RESOLVED_NAME).is_file():
             raise RunError(f"{path / RESOLVED_NAME} is missing")
         try:
             # The functions of Python that it names are not called before a world is built, which asks again whether they may.
-            compiled = api.compile(api.load_kept(path))
+            compiled = api.compile(source)
         except DeepbotsError as error:
             raise RunError(f"{path} cannot be used, since its scenario does not compile: {' '.join(str(error).split())[:500]}") from error
         differences = identity.compare_interfaces(record.interface, identity.interface(compiled.program), words=("trained", "now"))
         if differences:
             lines = "\n  ".join(differences)
             raise RunError(f"{path} was trained for another observation, action or messages than its scenario has now:\n  {lines}")
-        return Run(path, record, compiled.program, compiled.digest)
+        return Run(path, record, compiled)
 
 
 class EvaluationRecord(BaseModel):
@@ -551,11 +552,8 @@ def run_folders(runs: Sequence[str | Path]) -> list[Path]:
     """The run directories, those of folders in the order of their names; each once."""
     found: dict[Path, None] = {}
     for path in map(Path, runs):
-        inner = (
-            sorted(child for child in path.iterdir() if (child / RECORD_NAME).is_file())
-            if path.is_dir() and not (path / RECORD_NAME).is_file()
-            else []
-        )
+        is_outer = os.path.isdir(path) and folder_kind(path) is not SourceKind.RUN
+        inner = sorted(file.parent for file in path.glob(f"*/{RECORD_NAME}")) if is_outer else []
         found |= dict.fromkeys(inner or [path])
     return list(found)
 

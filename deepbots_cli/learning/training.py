@@ -22,7 +22,7 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 import deepbots_cli
-from deepbots_cli import engine_kinds
+from deepbots_cli import api, engine_kinds
 from deepbots_cli.api import Compiled, build_batch
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, PluginError, RunError, UsageError
@@ -33,7 +33,7 @@ from deepbots_cli.learning.checkpoint_files import damage_explained, latest_chec
 from deepbots_cli.learning.checkpoints import Checkpoints, ResumableAlgorithm
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.defaults import longest_episode
-from deepbots_cli.learning.environments import VectorEnvironment, World, WorldFactory, compiled_scenario, default_factory
+from deepbots_cli.learning.environments import VectorEnvironment, World, WorldFactory, default_factory
 from deepbots_cli.learning.episodes import MAX_STEPS, EpisodeLog, Statistics
 from deepbots_cli.learning.failures import BatchFailureRecorder, FailureRecorder
 from deepbots_cli.learning.report import Reporter, reporter
@@ -53,6 +53,7 @@ from deepbots_cli.learning.run import (
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
@@ -105,7 +106,7 @@ def train(
         RunError: The training diverged; the last good model is kept.
         DeepbotsError: The world, a callback or a logger failed; names step and cause.
     """
-    compiled = compiled_scenario(scenario)
+    compiled = api.compile(scenario)
     training = _training_of(compiled.program, total_timesteps)
     if not 0 <= seed < 2**63:
         raise UsageError(f"{seed} cannot be a seed, which is a whole number from 0 to {2**63 - 1}")
@@ -184,7 +185,7 @@ def resume(
         RunError: No run, or one that is damaged; else as for `train`.
         UsageError: The run has already reached its goal, or another training is at work in it.
     """
-    path = Path(run)
+    path = Source.open(run, Permissions(), SourceKind.RUN).path
     RunRecord.read(path)  # a folder that is no run is told so, whoever is at work in it
     with run_lock(path):
         # Only now: a training that has just ended in there has changed the record.

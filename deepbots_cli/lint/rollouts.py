@@ -46,6 +46,7 @@ from deepbots_cli.program.task import idle_action
 from deepbots_cli.program.world import ObjectBody
 from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.rollout import Driver, Start, Step, steps
+from deepbots_cli.rollout.source import Source
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.actuation import Cartesian
 
@@ -64,7 +65,7 @@ class StoppedError(Exception):
 
 def compiled(folder: Path) -> Program:
     """Compile the scenario whose files were copied into a folder."""
-    return api.compile(api.load_kept(folder)).program
+    return api.compile(Source.kept(folder)).program
 
 
 class Simulator:

@@ -29,7 +29,7 @@ class BatchPlayer(Player):
     """
 
     def _make(self, program: Program) -> Supervisor:
-        self.batch = api.build_batch(program, self.opened.source.worlds, engine=self.opened.source.engine or "mujoco")
+        self.batch = api.build_batch(program, self.opened.shown.worlds, engine=self.opened.shown.engine or "mujoco")
         self.worlds = self.batch.count
         self._readers: dict[int, FrameReader] = {}
         return self.batch.singles[0]
@@ -72,7 +72,7 @@ class BatchPlayer(Player):
         self.action = None
         self.driver.begin(Start())
         self._turn_to(self.world)  # before the reset, whose messages its reader keeps
-        self.observation = self.batch.reset(self._seeds, dict(self.opened.source.start))
+        self.observation = self.batch.reset(self._seeds, dict(self.opened.shown.start))
         return self._read()
 
     def next_episode(self, episode: int) -> int:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from gymnasium.vector.utils import batch_space
 
 from deepbots_cli import api
-from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
@@ -21,19 +20,20 @@ from deepbots_cli.port import View
 from deepbots_cli.program import Program, identity
 from deepbots_cli.rollout import Driver, Start, Step, steps
 from deepbots_cli.rollout.drivers import HAND, POLICY, RANDOM, RECORDED, ZERO, action_from_values, named_driver
+from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.paths import Ways
 from deepbots_cli.view.frames import FrameReader, WorldFrame
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.run import ModelName, Run
+    from deepbots_cli.learning.run import ModelName
 
 _TAIL_BYTES = 20_000  # of a log, which hold its last episode
 
 
 @dataclass(frozen=True)
-class Source:
-    """A scenario, a run or a recording on the command line, with what its compilation needs."""
+class Showing:
+    """A scenario, a run or a recording to show, and how."""
 
     reference: str
     overrides: Sequence[str] = ()
@@ -46,36 +46,34 @@ class Source:
     start: Mapping[str, Any] = field(default_factory=dict, hash=False)
     """The `options` of every reset."""
 
-    def open(self) -> SourceState:
+    def open(self) -> ShowingState:
         """Compile it; findings are returned and not raised.
 
         Raises:
             UsageError: There is no such file, run, case or stage.
         """
-        if self.reference.endswith(".mcap"):
-            return self._open_recording()
-        run: Run | None = None
-        if (Path(self.reference) / "run.json").exists():
+        source = Source.open(self.reference, self.permissions, SourceKind.SCENARIO, SourceKind.RUN, SourceKind.RECORDING)
+        if source.kind is SourceKind.RECORDING:
+            return self._open_recording(source.path)
+        run, overrides = None, self.overrides
+        if source.kind is SourceKind.RUN:
             from deepbots_cli.learning.run import Run
 
-            run = Run.open(self.reference)
-            checked, files = self._kept_scenario(Path(self.reference)), frozenset[Path]()
+            run = Run.open(source)
         else:
-            overrides = with_engine(self.overrides, self.engine)
-            checked = api.load(self.reference, overrides=overrides, permissions=self.permissions)
-            files = frozenset({checked.document.path, *checked.document.files})
+            overrides = with_engine(overrides, self.engine)
+        checked = source.checked(overrides=overrides)
+        files = frozenset({checked.document.path, *checked.document.files}) if run is None else frozenset[Path]()
         try:
             compiled = api.compile(checked)
         except ScenarioError as error:
-            return SourceState(None, error.findings, files, self, run)
+            return ShowingState(None, error.findings, files, self, run)
         files |= frozenset(checked.inputs.names) if run is None else files
         parameters = {name: str(value) for name, value in checked.spec.parameters.items()} if checked.spec else {}
-        return SourceState(self._chosen(compiled.program), compiled.findings, files, self, run, compiled=compiled, parameters=parameters)
+        chosen = self._chosen(compiled.program)
+        return ShowingState(chosen, compiled.findings, files, self, run, compiled=compiled, parameters=parameters)
 
-    def _kept_scenario(self, folder: Path) -> CheckedScenario:
-        return api.load_kept(folder, overrides=self.overrides, permissions=self.permissions)
-
-    def _open_recording(self) -> SourceState:
+    def _open_recording(self, path: Path) -> ShowingState:
         from deepbots_cli.view.recordings import Recording
 
         if self.overrides or self.case or self.stage or self.engine or self.worlds or self.start:
@@ -83,11 +81,11 @@ class Source:
                 "a recording keeps its scenario, case, stage, engine and start; "
                 "leave out --set, --case, --stage, --engine, --worlds and --start"
             )
-        recording = Recording.read(Path(self.reference))
-        compiled = api.compile(self._kept_scenario(Path(recording.folder.name)))
+        recording = Recording.read(path)
+        compiled = api.compile(Source.kept(Path(recording.folder.name), self.permissions))
         known = recording.metadata
-        source = replace(self, engine=known.get("engine") or None, case=known.get("case") or None, stage=known.get("stage") or None)
-        return SourceState(source._chosen(compiled.program), (), frozenset(), source, recording=recording, compiled=compiled)
+        shown = replace(self, engine=known.get("engine") or None, case=known.get("case") or None, stage=known.get("stage") or None)
+        return ShowingState(shown._chosen(compiled.program), (), frozenset(), shown, recording=recording, compiled=compiled)
 
     def _chosen(self, program: Program) -> Program:
         if self.case is not None and self.stage is not None:
@@ -96,13 +94,16 @@ class Source:
 
 
 @dataclass(frozen=True, eq=False)
-class SourceState:
-    """A source as it is now: `program` is None where `findings` at error level leave nothing to run; `files` are those that were read."""
+class ShowingState:
+    """What is shown as it is now.
+
+    `program` is None where `findings` at error level leave nothing to run; `files` are those that were read.
+    """
 
     program: Program | None
     findings: Sequence[Finding]
     files: frozenset[Path]
-    source: Source
+    shown: Showing
     run: Any = None
     recording: Any = None
     compiled: api.Compiled | None = None
@@ -114,7 +115,7 @@ class SourceState:
         """What may act, the default first."""
         if self.recording is not None:
             return (RECORDED,)
-        scripts = [script.name for script in self.program.agent.scripts] if self.program and not self.source.worlds else []
+        scripts = [script.name for script in self.program.agent.scripts] if self.program and not self.shown.worlds else []
         return (*([POLICY] if self.run else []), *scripts, RANDOM, ZERO, HAND)
 
     def checked(self) -> api.Compiled:
@@ -133,7 +134,7 @@ class SourceState:
         Raises:
             ScenarioError, EngineError, UsageError: As for `Player`.
         """
-        if self.source.worlds:
+        if self.shown.worlds:
             from deepbots_cli.view.batch import BatchPlayer
 
             return BatchPlayer(self, driver)
@@ -200,7 +201,7 @@ class Player:
     world, worlds = 0, 1
     """The world that is shown, and how many there are."""
 
-    def __init__(self, opened: SourceState, driver: str | None = None) -> None:
+    def __init__(self, opened: ShowingState, driver: str | None = None) -> None:
         """Make the environment and begin nothing.
 
         Raises:
@@ -229,8 +230,8 @@ class Player:
             raise
 
     def _make(self, program: Program) -> Supervisor:
-        run, source = self.opened.run, self.opened.source
-        return api.build(program, engine=source.engine or (run.engine_for(program) if run else None), permissions=source.permissions)
+        run, shown = self.opened.run, self.opened.shown
+        return api.build(program, engine=shown.engine or (run.engine_for(program) if run else None), permissions=shown.permissions)
 
     def _reader(self) -> FrameReader:
         return FrameReader(self.env)
@@ -251,7 +252,7 @@ class Player:
 
     def begin(self, seed: int, episode: int) -> WorldFrame:
         """Reset to an episode; its first frame."""
-        return self.start(Start.of_evaluation(seed, episode, self.opened.source.start))
+        return self.start(Start.of_evaluation(seed, episode, self.opened.shown.start))
 
     def start(self, start: Start) -> WorldFrame:
         """Reset to an episode; its first frame."""
@@ -315,13 +316,13 @@ class Player:
         self.env.close()
 
 
-def closing_player(source: Source, driver: str | None) -> closing[Player]:
-    """A player of a source, to be used in a `with` statement.
+def closing_player(shown: Showing, driver: str | None) -> closing[Player]:
+    """A player of what is shown, to be used in a `with` statement.
 
     Raises:
         ScenarioError: The scenario has errors.
     """
-    return closing(source.open().player(driver))
+    return closing(shown.open().player(driver))
 
 
 def file_stamps(files: Iterable[Path]) -> dict[Path, tuple[int, int] | None]:

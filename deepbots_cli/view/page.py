@@ -26,13 +26,14 @@ from deepbots_cli.frames import Triple, add, roll_pitch_yaw, scaled
 from deepbots_cli.learning.run import Run, RunRecord
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.rollout.drivers import HAND, RANDOM, ZERO, sequence_driver
+from deepbots_cli.rollout.source import RECORDING_SUFFIX
 from deepbots_cli.runtime.overview import extent, follows_robot, shift_beside, view_around
 from deepbots_cli.view import panel, plots, server
 from deepbots_cli.view.batch import BatchPlayer
-from deepbots_cli.view.episodes import Player, Source, SourceState, file_stamps
+from deepbots_cli.view.episodes import Player, Showing, ShowingState, file_stamps
 from deepbots_cli.view.frames import COLOURS, AgentFrame, Image, PlottedField, WorldFrame
 from deepbots_cli.view.manual_input import ManualInput
-from deepbots_cli.view.recordings import SUFFIX, record
+from deepbots_cli.view.recordings import record
 from deepbots_cli.view.replay import ReplayPlayer
 from deepbots_cli.view.scene import WorldScene, aim_camera
 
@@ -86,9 +87,9 @@ class Page:
 
     def __init__(
         self,
-        source: Source,
+        source: Showing,
         *,
-        compare: Source | None = None,
+        compare: Showing | None = None,
         host: str = server.LOOPBACK,
         port: int | None = None,
         driver: str | None = None,
@@ -164,7 +165,7 @@ class Page:
 
     # What is shown
 
-    def _show(self, opened: SourceState) -> None:
+    def _show(self, opened: ShowingState) -> None:
         """Show a source as it is now: its world from the beginning of the present episode, or else its findings over the world before."""
         if opened.program is None:
             findings = html.escape(render(opened.findings, "full", width=46))
@@ -552,7 +553,7 @@ class Page:
         with closing(self.player.opened.player(ZERO)) as again:
             again.driver, again.driver_name = sequence_driver(self.player.actions), HAND
             name = f"{Path(self._source.reference).stem}-{self.seed}-{self.episode}-played"
-            numbered = (Path(f"{name}{number or ''}{SUFFIX}") for number in count())
+            numbered = (Path(f"{name}{number or ''}{RECORDING_SUFFIX}") for number in count())
             path = next(path for path in numbered if not path.exists())
             record(again, path, self.seed, [self.episode], steps=len(self.player.actions))
         if client is not None:

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.episodes import read_log
-from deepbots_cli.learning.group import is_group
-from deepbots_cli.learning.run import RECORD_NAME, EvaluationRecord, RunRecord, changed_settings, run_folders, short_settings
+from deepbots_cli.learning.run import EvaluationRecord, RunRecord, changed_settings, run_folders, short_settings
 from deepbots_cli.learning.verdict import quoted_evaluation
+from deepbots_cli.rollout.source import SourceKind, folder_kind
 from deepbots_cli.view.frames import COLOURS
 
 if TYPE_CHECKING:
@@ -87,10 +87,10 @@ def read_logs(paths: Sequence[str | Path], window: int = 100) -> list[TrainingLo
         RunError: One is neither, is damaged, or holds no episode yet.
         MissingExtraError: TensorBoard is not installed.
     """
-    found = [_read_run(path, window) if (path / RECORD_NAME).is_file() else _read_tensorboard(path) for path in run_folders(paths)]
+    found = [_read_run(path, window) if folder_kind(path) is SourceKind.RUN else _read_tensorboard(path) for path in run_folders(paths)]
     first = {log.group: log.path for log in reversed(found)}  # the first run of each scenario
     # Scenarios of one name that differ are called after the folder of their first run or group, or its path if folders share a name.
-    folders = {group: path.parent if is_group(path.parent) else path for group, path in first.items()}
+    folders = {group: path.parent if folder_kind(path.parent) is SourceKind.GROUP else path for group, path in first.items()}
     candidates = (
         {group: group.rpartition(" ")[0] for group in first},
         {group: path.name for group, path in folders.items()},

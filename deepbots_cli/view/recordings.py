@@ -43,7 +43,6 @@ from deepbots_cli.view.episodes import Player
 from deepbots_cli.view.frames import AgentFrame, FrameLayout, Image, LinkName, PlottedField, ReceivedMessage, SensorRays, WorldFrame
 
 FORMAT = 1
-SUFFIX = ".mcap"
 NS_PER_S = 1_000_000_000
 """In ns, in which MCAP counts time."""
 _MAX_FILE, _MAX_RECORD, _MAX_CONTENT = 1 << 28, 1 << 26, 1 << 29  # bytes: of a file, of one record, and of all of them unpacked
@@ -289,17 +288,17 @@ def record(
 
 
 def _metadata(player: Player, seed: int, digest: str) -> dict[str, str]:
-    source = player.opened.source
+    shown = player.opened.shown
     return {
         "format": str(FORMAT),
         "scenario": player.program.name,
-        "source": source.reference,
+        "source": shown.reference,
         "digest": digest,
         "engine": player.env.engine.name,
         "seed": str(seed),
         "driver": player.driver_name,
-        "case": source.case or "",
-        "stage": source.stage or "",
+        "case": shown.case or "",
+        "stage": shown.stage or "",
         **versions(),
     }
 

@@ -14,7 +14,7 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.port import View
 from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import RECORDED, sequence_driver
-from deepbots_cli.view.episodes import Player, SourceState
+from deepbots_cli.view.episodes import Player, ShowingState
 from deepbots_cli.view.frames import WorldFrame
 from deepbots_cli.view.recordings import (
     NS_PER_S,
@@ -32,7 +32,7 @@ from deepbots_cli.view.recordings import (
 class ReplayPlayer(Player):
     """Plays a recording: frames come from the file, and the environment holds the world that they are drawn in."""
 
-    def __init__(self, opened: SourceState) -> None:
+    def __init__(self, opened: ShowingState) -> None:
         """Make the environment.
 
         Raises:

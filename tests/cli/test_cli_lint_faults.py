@@ -11,10 +11,12 @@ from xml.etree import ElementTree
 import pytest
 
 from deepbots_cli import api, lint
-from deepbots_cli.diagnostics import Finding, Source
+from deepbots_cli.diagnostics import Finding
+from deepbots_cli.diagnostics import Source as SourceText
 from deepbots_cli.lint.context import RuleContext, Simulation
 from deepbots_cli.lsp.server import diagnostics
 from deepbots_cli.lsp.workspace import Document, analyse
+from deepbots_cli.rollout.source import Source
 
 
 def breaking(context: RuleContext) -> Iterator[Finding]:
@@ -39,7 +41,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def scenario(name: str) -> str:
-    text = api.locate("cartpole")[0].read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+    text = Source.open("cartpole").path.read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
     return text.replace("name: CartPole", f"name: {name}") + "\nsignals: {spare: abs(x)}\n"
 
 
@@ -115,4 +117,4 @@ def test_a_rule_that_fails_after_a_simulation_does_not_hide_what_the_others_meas
 def test_the_message_of_an_exception_is_cut(folder, monkeypatch) -> None:
     from deepbots_cli.diagnostics.findings import exception_finding
 
-    assert len(exception_finding("the rule DB801", Source("a.yaml", ""), ValueError("long " * 10_000)).headline) < 300
+    assert len(exception_finding("the rule DB801", SourceText("a.yaml", ""), ValueError("long " * 10_000)).headline) < 300

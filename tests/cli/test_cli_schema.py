@@ -65,7 +65,7 @@ def test_the_robot_file_is_not_written_over(deepbots):
 def test_a_scenario_that_there_is_not_is_wrong_usage(deepbots):
     ran = deepbots("schema", "--for", "nowhere.yaml", "-o", "s.json")
     assert (ran.code, Path("s.json").exists()) == (2, False)
-    assert ran.err.startswith("error: no file or shipped scenario is called")
+    assert ran.err.startswith("error: no file, folder or shipped scenario is called")
 
 
 def test_a_scenario_file_without_its_ending_is_suggested(deepbots):

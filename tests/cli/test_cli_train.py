@@ -169,7 +169,7 @@ def test_a_junit_file_needs_a_requirement(deepbots, trained, tmp_path):
 
 def test_a_run_that_is_named_without_its_folder_is_found_in_the_message(deepbots, tmp_path):
     (tmp_path / "runs" / "first").mkdir(parents=True)
-    assert deepbots("eval", "first").err == "error: first is not a run: there is no such directory; did you mean runs/first?\n"
+    assert deepbots("eval", "first").err == "error: no file, folder or shipped scenario is called 'first'; did you mean runs/first?\n"
 
 
 def test_two_runs_of_a_scenario_are_compared_on_the_same_starts(deepbots, trained):
@@ -381,18 +381,6 @@ def test_warnings_about_another_scenario_are_mentioned_with_a_command_that_can_b
     ran = deepbots("eval", "mine", "--scenario", "my cart.yaml", "--episodes", "1")
     assert ran.code == 0
     assert "1 warning; see: deepbots lint 'my cart.yaml'" in ran.err
-
-
-@pytest.mark.parametrize("verb", [["eval"], ["train", "--resume"]])
-def test_what_is_no_run_is_said_so_in_one_line(deepbots, tmp_path, verb):
-    (tmp_path / "file").write_text("")
-    (tmp_path / "folder").mkdir()
-    for name in ("file", "folder", "nowhere"):
-        ran = deepbots(*verb, name)
-        assert (ran.code, ran.out) == (2, "")
-        assert ran.err.startswith("error: ")
-        assert "not a run" in ran.err
-        assert ran.err.count("\n") == 1
 
 
 @pytest.mark.parametrize("words", [["cartpole"], ["--seed", "1"], ["--set", "a=1"], ["--run", "x"], ["--engine", "exact"]])

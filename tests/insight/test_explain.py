@@ -17,7 +17,7 @@ from deepbots_cli.cli import main
 from deepbots_cli.insight.episode import explain, explanation_json
 from deepbots_cli.insight.trace import Trace, trace_recorded
 from deepbots_cli.view import recordings
-from deepbots_cli.view.episodes import Source, closing_player
+from deepbots_cli.view.episodes import Showing, closing_player
 from deepbots_cli.view.frames import WorldFrame
 from deepbots_cli.view.replay import ReplayPlayer
 
@@ -64,9 +64,9 @@ CASES: dict[str, tuple[str, Callable[[Frames], dict[str, float]], float]] = {
 
 def _check(scenario: str, path: Path, count: int) -> None:
     driver, independent, slack = CASES[scenario]
-    with closing_player(Source(scenario), driver) as world:
+    with closing_player(Showing(scenario), driver) as world:
         recordings.record(world, path, 11, range(count))
-    opened = Source(str(path)).open()
+    opened = Showing(str(path)).open()
     failed = 0
     with closing(ReplayPlayer(opened)) as replayed:
         for trace, recorded in zip(trace_recorded(opened, opened.recording.episodes), opened.recording.episodes, strict=True):
@@ -110,13 +110,13 @@ def test_they_are_in_fifty_failed_episodes(scenario, tmp_path):
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     path = tmp_path_factory.mktemp("recordings") / "cartpole.mcap"
-    with closing_player(Source("cartpole"), "random") as world:
+    with closing_player(Showing("cartpole"), "random") as world:
         recordings.record(world, path, 3, [0, 1])
     return path
 
 
 def _traced(path: Path, number: int = 0) -> Trace:
-    opened = Source(str(path)).open()
+    opened = Showing(str(path)).open()
     return next(trace_recorded(opened, [opened.recording.episode(number)]))
 
 
@@ -129,7 +129,7 @@ def test_every_sentence_has_a_number(recording):
 def test_endings_with_and_or_and_not(tmp_path):
     """Of a condition with several comparisons, the one that has just become true is named, with `not` taken into its sign."""
     ending = "not (abs(x) <= track) or (abs(cart.pole_angle) > fall_angle and step >= 3)"
-    with closing_player(Source("cartpole", overrides=[f"termination.failure={{over: {ending}}}"]), "random") as world:
+    with closing_player(Showing("cartpole", overrides=[f"termination.failure={{over: {ending}}}"]), "random") as world:
         recordings.record(world, tmp_path / "one.mcap", 3, [0])
     trace = _traced(tmp_path / "one.mcap")
     end = explanation_json(trace, explain(trace))["end"]
@@ -149,7 +149,7 @@ def test_a_recording_that_is_cut_is_refused_in_a_sentence(recording, tmp_path, l
 
 def test_an_episode_that_is_another_one_here_is_refused(recording):
     """As if another version had recorded it: the same file, read as if its observations were others."""
-    opened = Source(str(recording)).open()
+    opened = Showing(str(recording)).open()
     first, second = opened.recording.episodes
     swapped = type(first)(first.number, first.seed, [first.steps[0], *second.steps[1:]])
     with pytest.raises(Exception, match="differs from its recording at step 1"):
@@ -157,7 +157,11 @@ def test_an_episode_that_is_another_one_here_is_refused(recording):
 
 
 def test_what_is_no_episode_is_told_in_a_sentence(recording, tmp_path, capsys):
-    for shown, words in [(str(tmp_path), "is not a run"), ("nothing.mcap", "cannot be read"), ("nothing.json", "is missing")]:
+    for shown, words in [
+        (str(tmp_path), "is not a run"),
+        ("nothing.mcap", "no file, folder or shipped scenario"),
+        ("nothing.json", "is missing"),
+    ]:
         assert main(["explain-episode", shown]) in (1, 2)
         assert words in capsys.readouterr().err
     assert main(["explain-episode", str(recording), "--episode", "9"]) == 2
@@ -180,7 +184,7 @@ def test_json_holds_the_same_statements(recording, capsys):
     ],
 )
 def test_the_condition_that_a_missed_success_lacks_is_named_and_not_one_that_held(tmp_path, success, needed, value):
-    with closing_player(Source("cartpole", overrides=[f"termination.success={{kept: {success}}}"]), "random") as world:
+    with closing_player(Showing("cartpole", overrides=[f"termination.success={{kept: {success}}}"]), "random") as world:
         recordings.record(world, tmp_path / "one.mcap", 3, [0])
     trace = _traced(tmp_path / "one.mcap")
     assert trace.outcome == "failure"
@@ -193,7 +197,7 @@ def test_the_condition_that_a_missed_success_lacks_is_named_and_not_one_that_hel
 
 def test_a_missed_duration_is_explained_by_the_comparisons_inside_it(tmp_path):
     sets = ["signals={rest: duration(abs(x) < 1 mm and abs(speed) < 0.001 mm/s)}", "termination.success={rested: rest > 0.3 s}"]
-    with closing_player(Source("cartpole", overrides=sets), "random") as world:
+    with closing_player(Showing("cartpole", overrides=sets), "random") as world:
         recordings.record(world, tmp_path / "one.mcap", 3, [0])
     trace = _traced(tmp_path / "one.mcap")
     (found,) = [each for each in explain(trace) if each.cause == "conditions"]
@@ -207,7 +211,7 @@ def test_a_missed_duration_is_explained_by_the_comparisons_inside_it(tmp_path):
 
 def test_the_time_in_which_a_cost_arose_is_told(tmp_path):
     sets = ["reward={alive: 0.01, late: -1 when step > 5 and step < 9}"]
-    with closing_player(Source("cartpole", overrides=sets), "random") as world:
+    with closing_player(Showing("cartpole", overrides=sets), "random") as world:
         recordings.record(world, tmp_path / "one.mcap", 3, [0])
     trace = _traced(tmp_path / "one.mcap")
     (found,) = [each for each in explain(trace) if each.cause == "concentrated_rewards"]

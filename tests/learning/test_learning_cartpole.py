@@ -8,6 +8,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.learning import evaluate, train
+from deepbots_cli.rollout.source import Source
 
 
 @pytest.mark.slow
@@ -24,7 +25,7 @@ def test_a_shipped_cartpole_is_solved_in_half_a_simulated_hour_and_balances_from
 @pytest.mark.slow
 def test_a_pole_of_another_length_is_learned_from_a_copy_that_changes_one_line(tmp_path: Path) -> None:
     longer = tmp_path / "longer.yaml"
-    shipped, _ = api.locate("cartpole")
+    shipped = Source.open("cartpole").path
     longer.write_text(f"deepbots: 1\nextends: {shipped}\nname: LongPole\nrobots: {{cart: {{links: {{pole: {{scale: 1 1 1.5}}}}}}}}\n")
     result = train(api.compile(longer), run=tmp_path / "run", seed=106)
     assert result.solved_at is not None

@@ -34,6 +34,7 @@ from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Network, Schedule, Solved, Training
+from deepbots_cli.rollout.source import Source
 from deepbots_cli.runtime.batch import EpisodeHistory
 from deepbots_cli.scenario import Scenario
 from tests.few import few
@@ -198,7 +199,7 @@ def compiled_of(name: str) -> api.Compiled:
 
 def _shipped(scenario: str, section: str) -> api.Compiled:
     """A scenario with another section `train`; the stages of its curriculum end after a quarter of the steps each."""
-    base = Scenario.from_yaml(api.locate(scenario)[0])
+    base = Scenario.from_yaml(Source.open(scenario).path)
     training = yaml.safe_load(f"{{{section}}}")
     changes: dict[str, Any] = {"train": training, "evaluation": {"episodes": 5}, "tests": {}}
     if base.curriculum:

@@ -10,21 +10,21 @@ import stand_in
 
 from deepbots_cli import api
 from deepbots_cli.cli.records import robustness_text
-from deepbots_cli.document import load, shipped
+from deepbots_cli.document import load
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import TrainingResult, evaluate_robustness
 from deepbots_cli.learning.robustness import Change, _bar, changed_scenario, plans
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program, identity
+from deepbots_cli.rollout.source import Source
 
 
-def changes(name: str) -> tuple[Path, dict[str, dict[str, Change]]]:
+def changes(name: str) -> tuple[Source, dict[str, dict[str, Change]]]:
     """The file of a shipped scenario, and the changes of each condition by level."""
-    base = shipped.scenario_path(name)
-    assert base is not None
-    root = load(base).root
+    base = Source.open(name)
+    root = base.document().root
     assert root is not None
-    return base.resolve(), {condition: dict(levels) for condition, levels in plans(root, api.compile(name).program)}
+    return base, {condition: dict(levels) for condition, levels in plans(root, api.compile(name).program)}
 
 
 def masses(program: Program) -> list[float]:
@@ -77,10 +77,8 @@ def test_each_condition_changes_what_it_says_and_nothing_else() -> None:
 
 def test_the_link_or_object_whose_mass_is_changed_can_be_named(trained: TrainingResult) -> None:
     for scenario, name in (("cartpole", "cart.pole"), ("panda_push", "block")):
-        base = shipped.scenario_path(scenario)
-        assert base is not None
-        base = base.resolve()
-        root = load(base).root
+        base = Source.open(scenario)
+        root = base.document().root
         assert root is not None
         found = dict(plans(root, api.compile(scenario).program, name))
         assert changed_scenario(base, dict(found[f"mass of {name}"])["x 2"]).digest != api.compile(scenario).digest

@@ -63,7 +63,7 @@ def test_new_runs_are_numbered_past_all_that_exist(tmp_path: Path) -> None:
 def test_what_is_no_run_is_named_in_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "empty").mkdir()
-    for name, reason in (("nothing", "no such directory"), ("file", "it is a file"), ("empty", "no run.json")):
+    for name, reason in (("nothing", "no file, folder or shipped scenario"), ("file", "is a file"), ("empty", "without run.json")):
         with pytest.raises(RunError, match=reason) as caught:
             Run.open(tmp_path / name)
         assert "\n" not in str(caught.value)

@@ -14,6 +14,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.errors import UsageError
+from deepbots_cli.rollout.source import Source
 
 ANY = "deepbots_cli.envs:deepbots/Scenario-v1"
 
@@ -21,7 +22,7 @@ ANY = "deepbots_cli.envs:deepbots/Scenario-v1"
 @pytest.fixture
 def mine(tmp_path: Path) -> Path:
     """A scenario that does not come with deepbots."""
-    text = api.locate("cartpole")[0].read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+    text = Source.open("cartpole").path.read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
     path = tmp_path / "mine.yaml"
     path.write_text(text.replace("name: CartPole", "name: Mine"))
     return path

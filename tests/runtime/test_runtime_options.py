@@ -16,6 +16,7 @@ from deepbots_cli import api
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import EvaluationError, UsageError
 from deepbots_cli.program import Program
+from deepbots_cli.rollout.source import Source
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.view.frames import FrameReader
 from tests.contract.rollout import as_bytes
@@ -172,7 +173,7 @@ reset: {place: {bar: {x: 1.2 m, y: uniform(-0.2 .. 0.2 m)}, crate: {region: {x: 
 @pytest.fixture
 def team(make: Callable[..., Supervisor], tmp_path: Path) -> Supervisor:
     """Two carts of one policy, a bar and a crate."""
-    text = api.locate("cartpole")[0].read_text(encoding="utf-8")
+    text = Source.open("cartpole").path.read_text(encoding="utf-8")
     (tmp_path / "cartpole.yaml").write_text(text.replace("../robots/urdf/cartpole.urdf", "cartpole"))
     (tmp_path / "team.yaml").write_text(TEAM + OF_TEAM)
     return make(tmp_path / "team.yaml", engine="pybullet")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("viser")
-from deepbots_cli.view.episodes import Source
+from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.page import Page
 from tests.view.browser import CHROMIUM, browser
 
@@ -22,12 +22,12 @@ CARTPOLE = Path(__file__).parents[2].joinpath("scenarios", "cartpole.yaml").read
 
 
 @contextmanager
-def served(source: str | Source, **options: Any) -> Iterator[Page]:
+def served(source: str | Showing, **options: Any) -> Iterator[Page]:
     """A page whose loop runs in a thread of its own."""
     made, stop = [], threading.Event()
 
     def run() -> None:
-        made.append(Page(Source(source) if isinstance(source, str) else source, port=0, **options))
+        made.append(Page(Showing(source) if isinstance(source, str) else source, port=0, **options))
         made[0].run(stop.is_set)
         made[0].close()
 
@@ -126,7 +126,7 @@ def test_a_narrow_window_shows_the_whole_world_above_the_panel(new_tab):
 
 
 def test_two_worlds_are_seen_side_by_side(new_tab):
-    with served("find_ball", compare=Source("find_ball"), driver="around") as page:
+    with served("find_ball", compare=Showing("find_ball"), driver="around") as page:
         page._tasks.put(page.step_once)
         tab = new_tab()
         tab.open(page.address)
@@ -136,7 +136,7 @@ def test_two_worlds_are_seen_side_by_side(new_tab):
 
 
 def test_worlds_of_a_batch_are_chosen(new_tab):
-    with served(Source("find_ball", engine="mujoco", worlds=4), driver="random") as page:
+    with served(Showing("find_ball", engine="mujoco", worlds=4), driver="random") as page:
         page._tasks.put(page.step_once)
         tab = new_tab()
         tab.open(page.address)
@@ -189,7 +189,7 @@ def test_an_offline_page_turns_without_a_server(new_tab, tmp_path):
     from deepbots_cli.view.pictures import Viewpoint, write_clip
 
     out = tmp_path / "clip.html"
-    with closing(Player(Source("find_ball").open(), "around")) as player:
+    with closing(Player(Showing("find_ball").open(), "around")) as player:
         write_clip(player, out, Viewpoint(), seed=0, episode=0, seconds=2.0)
     tab = new_tab()
     tab.open(out.as_uri())

@@ -11,7 +11,7 @@ import pytest
 import deepbots_cli
 from deepbots_cli.errors import UsageError
 from deepbots_cli.rollout.drivers import HAND, RANDOM, ZERO
-from deepbots_cli.view.episodes import Player, Source
+from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import FrameReader, action_fields, observation_fields
 
 SCENARIOS = ("cartpole", "find_ball_random", "quadruped", "multi_cartpole", "see_ball", "panda_push", "line_follower")
@@ -57,7 +57,7 @@ def test_a_frame_holds_what_the_engine_says():
 
 
 def test_returns_and_endings_are_those_of_the_episode():
-    with closing(Player(Source("find_ball").open(), "around")) as player:
+    with closing(Player(Showing("find_ball").open(), "around")) as player:
         frames = list(player.episode(0, 0))
     rewards = [frame.agents["agent"].reward for frame in frames[1:]]
     assert frames[-1].agents["agent"].episode_return == pytest.approx(sum(rewards))
@@ -68,9 +68,9 @@ def test_returns_and_endings_are_those_of_the_episode():
 
 @pytest.mark.parametrize("name", ["cartpole_wireless", "quadruped", "panda_push"])
 def test_a_world_of_a_batch_has_the_frames_of_a_single_world(name):
-    with closing(Source(name, engine="mujoco", worlds=3).open().player(RANDOM)) as batch:
+    with closing(Showing(name, engine="mujoco", worlds=3).open().player(RANDOM)) as batch:
         batch.world = 2
-        with closing(Source(name, engine="mujoco").open().player(RANDOM)) as single:
+        with closing(Showing(name, engine="mujoco").open().player(RANDOM)) as single:
             pairs = [(batch.begin(7, 0), single.begin(7, 2))]
             while len(pairs) < 15 and not pairs[-1][1].ended_by:
                 pairs.append((batch.step(), single.step()))
@@ -91,7 +91,7 @@ def _leaves(value, path=""):
 
 
 def test_worlds_of_a_batch_that_have_ended_rest_until_the_next_episodes():
-    with closing(Source("cartpole", engine="mujoco", worlds=4).open().player(RANDOM)) as player:
+    with closing(Showing("cartpole", engine="mujoco", worlds=4).open().player(RANDOM)) as player:
         player.begin(0, 0)
         while player._resting.sum() < 2:
             player.step()
@@ -108,14 +108,14 @@ def test_worlds_of_a_batch_that_have_ended_rest_until_the_next_episodes():
 
 
 def test_bodies_that_take_no_part_in_the_episode_are_left_out():
-    with closing(Player(Source("find_ball_random").open(), ZERO)) as player:
+    with closing(Player(Showing("find_ball_random").open(), ZERO)) as player:
         shown = [{body for body, _ in player.begin(0, episode).links if body.startswith("obstacle")} for episode in range(6)]
         assert len({len(bodies) for bodies in shown}) > 1
         assert set(player.frame.variants.values()) <= {"cube", "plank"}
 
 
 def test_every_copy_of_a_robot_has_frames_of_its_own():
-    with closing(Player(Source("multi_cartpole").open(), RANDOM)) as player:
+    with closing(Player(Showing("multi_cartpole").open(), RANDOM)) as player:
         player.begin(0, 0)
         frame = player.step()
         assert list(frame.agents) == [f"cart#{number}" for number in range(1, 10)]
@@ -125,7 +125,7 @@ def test_every_copy_of_a_robot_has_frames_of_its_own():
 
 
 def test_a_push_is_in_the_frames_while_it_lasts():
-    with closing(Player(Source("quadruped", case="pushed").open(), ZERO)) as player:
+    with closing(Player(Showing("quadruped", case="pushed").open(), ZERO)) as player:
         pushed = [bool(frame.pushes) for frame in player.episode(0, 0, 390)]
     assert 5 <= sum(pushed) <= 18  # one to three pushes of 100 ms within 7.8 s, in steps of 20 ms
 
@@ -140,7 +140,7 @@ def test_fields_have_units_ranges_and_options():
 
 
 def test_a_person_drives_by_the_names_of_action_fields():
-    with closing(Player(Source("find_ball").open(), HAND)) as player:
+    with closing(Player(Showing("find_ball").open(), HAND)) as player:
         player.begin(0, 0)
         player.manual_values = {"gas": 1.0, "wheel": -0.5}
         assert player.step().agents["agent"].action == pytest.approx((1.0, -0.5))
@@ -148,7 +148,7 @@ def test_a_person_drives_by_the_names_of_action_fields():
 
 def test_messages_are_those_that_receivers_go_by():
     """A message that arrives k ticks after it was made has the age k ticks, and holds the value of that tick."""
-    with closing(Player(Source("cartpole_wireless").open(), RANDOM)) as player:
+    with closing(Player(Showing("cartpole_wireless").open(), RANDOM)) as player:
         frames = list(player.episode(0, 0))
     for frame in frames[1:]:
         message = frame.messages["cart/from_robot"]
@@ -167,7 +167,7 @@ def test_what_was_drawn_makes_the_same_episode():
 
 
 def test_forbidden_options_are_told():
-    with closing(Player(Source("find_and_avoid").open(), RANDOM)) as player:
+    with closing(Player(Showing("find_and_avoid").open(), RANDOM)) as player:
         for frame in player.episode(0, 0, 60):
             allowed = frame.agents["agent"].allowed
             assert allowed == () or (len(allowed) == sum(len(field.options) for field in player.reader.layout.action) and any(allowed))
@@ -176,5 +176,5 @@ def test_forbidden_options_are_told():
 
 
 def test_a_start_that_is_given_begins_every_episode():
-    with closing(Player(Source("find_ball", start={"reset.place.epuck.x": -0.4}).open(), RANDOM)) as player:
+    with closing(Player(Showing("find_ball", start={"reset.place.epuck.x": -0.4}).open(), RANDOM)) as player:
         assert [player.begin(0, number).drawn["reset.place.epuck.x"] for number in range(2)] == [-0.4, -0.4]

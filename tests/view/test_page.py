@@ -22,7 +22,7 @@ from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
 from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.rollout.drivers import HAND
-from deepbots_cli.view.episodes import Source
+from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.frames import PlottedField
 from deepbots_cli.view.manual_input import ManualInput
 from deepbots_cli.view.page import Page
@@ -54,14 +54,14 @@ def _run(page, until, seconds=30.0):
 
 
 def test_time_stands_still_while_nobody_looks():
-    with closing(Page(Source("cartpole"), port=0, driver="zero")) as page:
+    with closing(Page(Showing("cartpole"), port=0, driver="zero")) as page:
         page.run(iter([False] * 10 + [True]).__next__)
         assert page.player.frame.step == 0
         _run(page, lambda: page.player.frame.step > 0)
 
 
 def test_time_goes_on_stands_still_and_begins_again():
-    with closing(Page(Source("cartpole"), port=0, driver="zero")) as page:
+    with closing(Page(Showing("cartpole"), port=0, driver="zero")) as page:
         _run(page, lambda: page.player.frame.step > 3)
         page.play(False)
         step = page.player.frame.step
@@ -80,7 +80,7 @@ def test_time_goes_on_stands_still_and_begins_again():
 
 
 def test_keys_drive_and_let_go():
-    with closing(Page(Source("find_ball"), port=0, playing=True)) as page:
+    with closing(Page(Showing("find_ball"), port=0, playing=True)) as page:
         assert page.player.driver_name == HAND
         page._manual_input.hold(frozenset({"KeyW", "KeyD"}), ())
         page.step_once()
@@ -95,7 +95,7 @@ def test_keys_drive_and_let_go():
 def test_the_right_arrow_turns_the_robot_to_the_right(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
     assert main(["new", "mine", "--template", "wheeled"]) == 0
-    with closing(Page(Source(name), port=0, playing=True)) as page:
+    with closing(Page(Showing(name), port=0, playing=True)) as page:
         yaws = []
         for key in ("ArrowRight", "ArrowLeft"):
             page._begin()
@@ -123,7 +123,7 @@ def test_released_keys_give_zero_where_the_range_holds_it():
 
 
 def test_rays_are_drawn_between_two_steps_as_the_robot_is():
-    with closing(Page(Source("find_ball"), port=0, driver="around")) as page:
+    with closing(Page(Showing("find_ball"), port=0, driver="around")) as page:
         ends = []
         for _ in range(2):
             page.step_once()
@@ -141,7 +141,7 @@ def test_rays_are_drawn_between_two_steps_as_the_robot_is():
 def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch):
     pytest.importorskip("mcap")
     monkeypatch.chdir(tmp_path)
-    with closing(Page(Source("find_ball"), port=0, playing=True, seed=4)) as page:
+    with closing(Page(Showing("find_ball"), port=0, playing=True, seed=4)) as page:
         assert "press a key to begin" in page._banner.content
         for keys in ({"KeyW"}, {"KeyW", "KeyD"}, {"KeyA"}):
             page._manual_input.hold(frozenset(keys), ())
@@ -149,7 +149,7 @@ def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch
         page._record(None)
         page._record(None)
         driven = page.player.frame
-    with closing(Source("find_ball-4-0-played1.mcap").open().player()) as replayed:
+    with closing(Showing("find_ball-4-0-played1.mcap").open().player()) as replayed:
         *_, last = replayed.episode(4, 0, 3)
         assert last.links == driven.links
         assert replayed.recording.metadata["driver"] == HAND
@@ -159,7 +159,7 @@ def test_a_page_to_play_in_asks_for_its_token_on_loopback_and_records_up_to_a_li
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("deepbots_cli.view.page.MAX_RECORDINGS", 2)
     monkeypatch.setattr("deepbots_cli.view.page.record", lambda player, path, *_, **__: path.touch())
-    with closing(Page(Source("cartpole"), port=0, playing=True)) as page:
+    with closing(Page(Showing("cartpole"), port=0, playing=True)) as page:
         address, _, token = page.address.partition("?token=")
         assert len(token) > 16
         with pytest.raises(InvalidStatus, match="403"):  # a program of another user of the machine
@@ -170,7 +170,7 @@ def test_a_page_to_play_in_asks_for_its_token_on_loopback_and_records_up_to_a_li
 
 
 def test_a_value_that_no_control_offers_changes_nothing_and_prints_nothing(capfd):
-    with closing(Page(Source("find_ball"), port=0)) as page:
+    with closing(Page(Showing("find_ball"), port=0)) as page:
         handles = {handle.label: handle for handle in page.server.gui._gui_input_handle_from_uuid.values()}
         wrong = {"driver": ["nobody", 5], "seed": [-1, "x", 1e300], "speed": [0, 99.0, "fast", math.nan], "time": ["explode", [1]]}
         updates = [(handles[name]._impl.uuid, {"value": value}) for name in wrong for value in wrong[name]]
@@ -200,7 +200,7 @@ def test_hands_know_options_by_their_names():
 def test_a_saved_file_shows_its_findings_and_then_its_world(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text(CARTPOLE)
-    with closing(Page(Source(str(file)), port=0, watch=True, seed=3)) as page:
+    with closing(Page(Showing(str(file)), port=0, watch=True, seed=3)) as page:
         _run(page, lambda: page.player.frame.step > 1)
         world = page.player
         file.write_text(CARTPOLE.replace("fall_angle", "fall_angel", 1))
@@ -218,7 +218,7 @@ def test_a_saved_file_shows_its_findings_and_then_its_world(tmp_path):
 def test_a_save_while_the_one_before_is_read_is_not_lost(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text(CARTPOLE)
-    with closing(Page(Source(str(file)), port=0, watch=True)) as page:
+    with closing(Page(Showing(str(file)), port=0, watch=True)) as page:
         show, world = page._show, page.player
 
         def show_and_save(opened):
@@ -235,7 +235,7 @@ def test_a_save_while_the_one_before_is_read_is_not_lost(tmp_path):
 def test_a_scenario_with_errors_opens_with_its_findings(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text(CARTPOLE.replace("velocity_motor", "velocity_moto<b>r", 1))
-    with closing(Page(Source(str(file)), port=0, watch=True)) as page:
+    with closing(Page(Showing(str(file)), port=0, watch=True)) as page:
         assert page.player is None
         assert "mine.yaml" in page._banner.content
         assert "<b>r" not in page._banner.content
@@ -244,10 +244,10 @@ def test_a_scenario_with_errors_opens_with_its_findings(tmp_path):
 
 
 def test_what_cannot_be_opened_is_told(capsys):
-    with pytest.raises(UsageError, match="no file or shipped scenario"):
-        Page(Source("nothing_here"), port=0)
+    with pytest.raises(UsageError, match="no file, folder or shipped scenario"):
+        Page(Showing("nothing_here"), port=0)
     with pytest.raises(UsageError, match="no script 'nobody'"):
-        Page(Source("find_ball"), port=0, driver="nobody")
+        Page(Showing("find_ball"), port=0, driver="nobody")
     for wrong, message in (
         (["find_ball", "--world", "3"], "there is no world 3; add --worlds N"),
         (["find_ball", "--worlds", "4", "--world", "4"], "a batch of 4 worlds has worlds 0 to 3"),
@@ -263,7 +263,7 @@ def test_a_recording_is_played_and_scrubbed(tmp_path):
     pytest.importorskip("mcap")
     path = tmp_path / "cartpole.mcap"
     assert main(["record", "cartpole", "--episodes", "2", "--out", str(path)]) == 0
-    with closing(Page(Source(str(path)), port=0)) as page:
+    with closing(Page(Showing(str(path)), port=0)) as page:
         page.play(False)
         page.seek(7)
         assert [frame.step for frame in page.panels[0].frames] == list(range(8))
@@ -279,7 +279,7 @@ def test_a_recording_is_played_and_scrubbed(tmp_path):
 
 
 def test_two_worlds_begin_alike_and_go_on_until_both_have_ended():
-    with closing(Page(Source("cartpole"), compare=Source("cartpole"), port=0, driver="zero")) as page:
+    with closing(Page(Showing("cartpole"), compare=Showing("cartpole"), port=0, driver="zero")) as page:
         one, other = page.panels
         page.speed = 5.0
         assert one.player.frame.links == other.player.frame.links
@@ -290,8 +290,11 @@ def test_two_worlds_begin_alike_and_go_on_until_both_have_ended():
 
 
 def test_a_page_shows_one_world_of_a_batch_after_another():
-    batch = Source("cartpole", engine="mujoco", worlds=4)
-    with closing(Page(batch, port=0, driver="zero", world=3)) as page, closing(Page(Source("cartpole", engine="mujoco"), port=0)) as single:
+    batch = Showing("cartpole", engine="mujoco", worlds=4)
+    with (
+        closing(Page(batch, port=0, driver="zero", world=3)) as page,
+        closing(Page(Showing("cartpole", engine="mujoco"), port=0)) as single,
+    ):
         single.episode = 3
         single._begin()
         assert page.player.frame.links == single.player.frame.links
@@ -308,7 +311,7 @@ def test_a_page_shows_one_world_of_a_batch_after_another():
 
 
 def test_a_changed_parameter_counts_at_the_same_seed():
-    with closing(Page(Source("find_ball"), port=0)) as page:
+    with closing(Page(Showing("find_ball"), port=0)) as page:
         start, panel = page.player.frame.links, page._values
         page._change("goal", "31 cm")
         old = page.player
@@ -323,7 +326,7 @@ def test_a_changed_parameter_counts_at_the_same_seed():
 
 
 def test_messages_are_shown_with_their_age():
-    with closing(Page(Source("cartpole_wireless"), port=0)) as page:
+    with closing(Page(Showing("cartpole_wireless"), port=0)) as page:
         page.step_once()
         page._update_texts()
         assert "message to cart" in page._values.content

@@ -13,7 +13,7 @@ from deepbots_cli import frames
 from deepbots_cli.cli import main
 from deepbots_cli.footprint import bounds_of_shape
 from deepbots_cli.port import View
-from deepbots_cli.view.episodes import Player, Source
+from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.pictures import PaintedPath, Viewpoint, projection, render_picture, write_clip, write_gif
 
 
@@ -23,7 +23,7 @@ def _yellow(image):
 
 
 def test_a_point_is_projected_to_where_the_engine_draws_it():
-    with closing(Player(Source("find_ball").open(), "around")) as player:
+    with closing(Player(Showing("find_ball").open(), "around")) as player:
         player.begin(0, 0)
         view = View((0.9, -1.2, 1.0), (0.1, 0.1, 0.0), 640, 480)
         rows, columns = np.nonzero(_yellow(render_picture(player, Viewpoint(640, 480, view.eye, view.target))))
@@ -32,7 +32,7 @@ def test_a_point_is_projected_to_where_the_engine_draws_it():
 
 
 def test_a_path_is_painted_where_the_robot_went():
-    with closing(Player(Source("find_ball").open(), "around")) as player:
+    with closing(Player(Showing("find_ball").open(), "around")) as player:
         path = list(player.episode(0, 0))
         bare = np.asarray(render_picture(player, Viewpoint(400, 400), path=path[-1:]).convert("RGB")).astype(int)
         painted = np.asarray(render_picture(player, Viewpoint(400, 400), path=path).convert("RGB")).astype(int)
@@ -41,7 +41,7 @@ def test_a_path_is_painted_where_the_robot_went():
 
 
 def test_the_view_of_a_path_does_not_cut_off_the_robot_at_its_end():
-    with closing(Player(Source("balancer").open(), "lean")) as player:
+    with closing(Player(Showing("balancer").open(), "lean")) as player:
         path, shot = list(player.episode(0, 0, 60)), Viewpoint(300, 200)
         project = projection(PaintedPath.of(player, path).view(player.env.world, shot))
         (robot,) = player.env.world.robots
@@ -55,14 +55,14 @@ def test_the_view_of_a_path_does_not_cut_off_the_robot_at_its_end():
 
 
 def test_a_path_that_climbs_is_seen_from_the_side():
-    with closing(Player(Source("quadrotor").open(), "zero")) as player:
+    with closing(Player(Showing("quadrotor").open(), "zero")) as player:
         path = list(player.episode(0, 0, 40))
         view = PaintedPath.of(player, path).view(player.env.world, Viewpoint(300, 200))
     assert view.eye[:2] != view.target[:2]
 
 
 def test_labels_and_rays_are_painted():
-    with closing(Player(Source("find_ball").open(), "around")) as player:
+    with closing(Player(Showing("find_ball").open(), "around")) as player:
         player.begin(0, 0)
         shots = [
             render_picture(player, Viewpoint(400, 300, (-0.5, -0.8, 0.4), (-0.38, -0.38, 0.0)), **{what: True})
@@ -76,7 +76,7 @@ def test_labels_and_rays_are_painted():
 @pytest.mark.parametrize("suffix", [".gif", ".mp4"])
 def test_a_clip_can_be_read_and_moves(tmp_path, suffix):
     out = tmp_path / f"clip{suffix}"
-    with closing(Player(Source("find_ball").open(), "around")) as player:
+    with closing(Player(Showing("find_ball").open(), "around")) as player:
         last = write_clip(player, out, Viewpoint(160, 120), seed=0, episode=0, seconds=2.0)
     assert last.time == pytest.approx(2.048, abs=0.13)
     if suffix == ".gif":
@@ -106,7 +106,7 @@ def test_a_gif_keeps_the_colour_of_a_small_robot(tmp_path):
 def test_an_offline_page_holds_the_episode(tmp_path):
     pytest.importorskip("viser")
     out = tmp_path / "clip.html"
-    with closing(Player(Source("cartpole").open(), "zero")) as player:
+    with closing(Player(Showing("cartpole").open(), "zero")) as player:
         write_clip(player, out, Viewpoint(), seed=0, episode=0, seconds=1.0)
     text = out.read_text()
     assert "__VISER_EMBED_DATA__" in text

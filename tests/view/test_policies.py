@@ -15,7 +15,7 @@ from deepbots_cli import learning
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.run import Run
 from deepbots_cli.rollout.drivers import POLICY
-from deepbots_cli.view.episodes import Source
+from deepbots_cli.view.episodes import Showing
 
 SMALL = ["train.environments=1", "train.n_steps=64", "train.batch_size=64", "train.n_epochs=1"]
 
@@ -31,7 +31,7 @@ def _trained(folder, name, *overrides):
 def test_the_policy_of_the_page_acts_as_in_an_evaluation(tmp_path, name, algorithm):
     run = _trained(tmp_path, name, f"train.algorithm={algorithm}")
     evaluated = learning.evaluate(run, episodes=2, seed=5)
-    with closing(Source(str(run)).open().player()) as player:
+    with closing(Showing(str(run)).open().player()) as player:
         for number, episode in enumerate(evaluated.outcomes):
             *_, last = player.episode(5, number)
             assert player.driver_name == POLICY
@@ -46,9 +46,9 @@ def test_a_training_is_followed_to_its_newest_policy(tmp_path):
     for name in ("best", "last"):
         run.model(name).unlink(missing_ok=True)
     with pytest.raises(RunError, match="holds no model yet"):
-        Source(str(run.path)).open().player()
+        Showing(str(run.path)).open().player()
     run.update(status="running")
-    with closing(Source(str(run.path)).open().player()) as player:
+    with closing(Showing(str(run.path)).open().player()) as player:
         player.begin(0, 0)
         assert "no policy yet" in player.driver.note
         player.step()
@@ -72,7 +72,7 @@ def test_the_page_of_a_training_marks_the_stages_of_its_curriculum(tmp_path):
     stages = "curriculum=[{name: wide, set: {fall_angle: 8 deg}, until: 24 steps}, {name: usual}]"
     run = Run.open(_trained(tmp_path, "cartpole", stages))
     run.update(status="running")
-    with closing(Page(Source(str(run.path)), port=0)) as page:
+    with closing(Page(Showing(str(run.path)), port=0)) as page:
         assert page.player.note == "policy after 64 steps, the training is in stage usual"
         text = page._training.content
     (done,) = run.record.result.stages
@@ -85,18 +85,18 @@ def test_a_run_whose_log_is_damaged_is_still_shown(tmp_path):
 
     run = Run.open(_trained(tmp_path, "cartpole"))
     run.monitor.write_text("#\nr,l,steps,is_success,ended_by\nx,1,1,0,fallen\n")
-    with closing(Page(Source(str(run.path)), port=0)) as page:
+    with closing(Page(Showing(str(run.path)), port=0)) as page:
         assert "one of its logs cannot be read" in page._training.content
         assert page.player.driver_name == POLICY
 
 
 def test_a_parameter_of_a_run_changes_its_world_and_a_policy_that_does_not_fit_is_refused(tmp_path):
     run = str(_trained(tmp_path, "cartpole"))
-    assert Source(run).open().parameters["fall_angle"] == "15 deg"
-    with closing(Source(run, overrides=["parameters.fall_angle=1 deg"]).open().player()) as player:
+    assert Showing(run).open().parameters["fall_angle"] == "15 deg"
+    with closing(Showing(run, overrides=["parameters.fall_angle=1 deg"]).open().player()) as player:
         *_, last = player.episode(0, 0)
         assert (player.driver_name, last.ended_by) == (POLICY, "fallen")
         assert last.agents["agent"].episode_return < 60
     with pytest.raises(RunError, match="does not fit the changed scenario"):
-        Source(run, overrides=["action.drive.choices.stop=0"]).open().player()
-    assert Source(run, overrides=["parameters.fall_angle=1 kg"]).open().program is None
+        Showing(run, overrides=["action.drive.choices.stop=0"]).open().player()
+    assert Showing(run, overrides=["parameters.fall_angle=1 kg"]).open().program is None

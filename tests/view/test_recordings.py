@@ -21,7 +21,7 @@ from mcap.writer import Writer
 
 from deepbots_cli.cli import main
 from deepbots_cli.view import recordings
-from deepbots_cli.view.episodes import Player, Source
+from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import SensorRays, WorldFrame
 from deepbots_cli.view.recordings import Recording, RecordingError
 from deepbots_cli.view.replay import ReplayPlayer, verify
@@ -37,7 +37,7 @@ def _recorded(folder: Path, name: str, driver: str = "random", engine: str | Non
                 kept.append(frame)
                 yield frame
 
-    with closing(Kept(Source(name, engine=engine).open(), driver)) as player:
+    with closing(Kept(Showing(name, engine=engine).open(), driver)) as player:
         recordings.record(player, path, 1, [2, 3])
     return path, kept
 
@@ -70,7 +70,7 @@ def _same(one, other) -> bool:
 )
 def test_frames_come_back_and_a_replay_is_the_same(tmp_path, name, engine):
     path, frames = _recorded(tmp_path, name, engine=engine)
-    opened = Source(str(path)).open()
+    opened = Showing(str(path)).open()
     with closing(ReplayPlayer(opened)) as player:
         found = [frame for number in (2, 3) for frame in player.episode(0, number)]
     assert len(found) == len(frames)

@@ -13,7 +13,7 @@ from deepbots_cli import api
 from deepbots_cli.footprint import robot_bounds
 from deepbots_cli.runtime.overview import overview
 from deepbots_cli.view import trajectories
-from deepbots_cli.view.episodes import Player, Source
+from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.pictures import projection
 
 
@@ -53,7 +53,7 @@ def test_an_arm_whose_links_the_task_does_not_read_moves_as_the_link_that_goes_f
 
 def test_a_target_that_moves_is_followed():
     overrides = ("goal.desired=vector(0.5 m, 0.2 m * sin(90 deg/s * time), 0.5 m)",)
-    with closing(Player(Source("panda_reach", overrides=overrides).open(), "zero")) as player:
+    with closing(Player(Showing("panda_reach", overrides=overrides).open(), "zero")) as player:
         found = trajectories.read_positions(player.reader.layout, player.episode(0, 0, 5))
         assert trajectories.find_moving(player.program, player.env.world, [found]).targets == (("", "agent"),)
     assert found["", "agent"][:, 1] == pytest.approx(0.2 * np.sin(np.pi / 2 * 0.04 * np.arange(6)), abs=1e-6)
@@ -72,7 +72,7 @@ def test_the_page_draws_the_path_of_an_arm_by_its_end_link():
     pytest.importorskip("viser")
     from deepbots_cli.view.page import Page
 
-    with closing(Page(Source("panda_reach"), port=0, driver="random")) as page:
+    with closing(Page(Showing("panda_reach"), port=0, driver="random")) as page:
         for _ in range(3):
             page.step_once()
         trail = np.array(page.world._trail)

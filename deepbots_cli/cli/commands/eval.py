@@ -29,15 +29,15 @@ from deepbots_cli.cli.command import (
 from deepbots_cli.cli.commands.insight import repeat_failed
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
-from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import check_output
 from deepbots_cli.learning import report
-from deepbots_cli.learning.group import Group, is_group
+from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.run import Run, in_parentheses
 from deepbots_cli.program.identity import task_digest
+from deepbots_cli.rollout.source import Source, SourceKind
 
 if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
@@ -184,15 +184,16 @@ def command(
     several: Sequence[str | None] = engine or [None]
     if len(several) > 1:
         _refuse("evaluates in one engine; name one with --engine", given, single)
-    if is_group(run):
-        group = Group.open(run)
+    source = Source.open(run, permissions, SourceKind.RUN, SourceKind.GROUP)
+    if source.kind is SourceKind.GROUP:
+        group = Group.open(source)
         one = f"evaluates a single run, and {run} is a group; name one of its runs, such as {group.runs[0] if group.runs else run}"
         _refuse(one, given, single)
-        scenarios = [evaluation_scenario(run, group.record.engine, scenario, overrides, name, permissions) for name in several]
+        scenarios = [evaluation_scenario(source, group.record.engine, scenario, overrides, name) for name in several]
         chosen |= {"seed": seed or 0, "case": case, "stage": stage}
         _evaluate_group(run, scenarios, gates, csv=csv, junit=junit, as_json=as_json, **chosen)
         return
-    known = Run.open(run)
+    known = Run.open(source)
     if robustness:
         _refuse("does not go with --robustness", given, ("video", "csv", "junit", "baselines", "details", "require-solved"))
         chosen |= {"scenario": scenario, "overrides": with_engine(overrides, several[0])}
@@ -204,7 +205,7 @@ def command(
     found: list[_EngineEvaluations] = []
     requirements: list[Requirement] = []
     for name in several:
-        compiled = evaluation_scenario(run, known.record.engine, scenario, overrides, name, permissions)
+        compiled = evaluation_scenario(source, known.record.engine, scenario, overrides, name)
         program = known.program if compiled is None else compiled.program
         gates.check(program)
         usual = program.evaluation.episodes if case is None else program.case(case).episodes
@@ -283,21 +284,15 @@ def _show_engines(run: Run, found: Sequence[_EngineEvaluations], *, as_json: boo
 
 
 def evaluation_scenario(
-    folder: Path,
-    trained_in: str,
-    scenario: str | None,
-    overrides: Sequence[str] | None,
-    engine: str | None,
-    permissions: Permissions,
+    source: Source, trained_in: str, scenario: str | None, overrides: Sequence[str] | None, engine: str | None
 ) -> Compiled | None:
-    """The scenario to evaluate in, where it is not that of the run or group in `folder`."""
+    """The scenario to evaluate in, where it is not that of the run or group `source`."""
     if scenario is None and not overrides and engine in (None, trained_in):
         return None
-    options: dict[str, Any] = {"overrides": with_engine(overrides, engine), "permissions": permissions}
-    if scenario is None:
-        return api.compile(api.load(folder / RESOLVED_NAME, project=folder, **options))
-    compiled = api.compile(api.load(scenario, **options))
-    terminal.note_warnings(compiled.findings, scenario)
+    chosen = source if scenario is None else Source.open(scenario, source.permissions, SourceKind.SCENARIO)
+    compiled = api.compile(chosen, overrides=with_engine(overrides, engine))
+    if scenario is not None:
+        terminal.note_warnings(compiled.findings, scenario)
     return compiled
 
 

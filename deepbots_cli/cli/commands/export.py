@@ -15,9 +15,8 @@ from deepbots_cli.cli.command import AllowPaths, Force, Json, Overrides, option
 from deepbots_cli.cli.commands.new import write_new
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.errors import UsageError
 from deepbots_cli.files import check_new_folder
-from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import identity
 
@@ -58,9 +57,6 @@ def command(
         return
     if overrides or allow_paths:
         raise UsageError("--set and --allow-path are for the scenario of --check; a run is exported as it was trained")
-    if is_group(source):
-        runs = Group.open(source).runs
-        raise RunError(f"{source} is a group; name one of its runs, such as {runs[0] if runs else ''}")
     folder = out or Path(f"{source.resolve().name}-onnx")
     check_new_folder(folder, force=force)
     run = Run.open(source)

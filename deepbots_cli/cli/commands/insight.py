@@ -15,6 +15,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.verdict import last_episodes
+from deepbots_cli.rollout.source import Source, SourceKind
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.trace import Trace
@@ -65,20 +66,22 @@ def explain_episode(
 
 def _trace(shown: str, episode: int | None, seed: int | None, *, last: bool, permissions: Permissions) -> Trace:
     from deepbots_cli.insight import trace
-    from deepbots_cli.view.episodes import Source
+    from deepbots_cli.view.episodes import Showing
 
-    path = Path(shown)
-    if path.suffix in (".mcap", ".json"):
-        if seed is not None or last:
-            raise UsageError("a recording or a failure has its own start and actions; leave out --seed and --last")
-        if path.suffix == ".mcap":
-            opened = Source(shown, permissions=permissions).open()
-            recorded = opened.recording.episodes[0] if episode is None else opened.recording.episode(episode)
-            return next(trace.trace_recorded(opened, [recorded]))
+    is_failure = shown.endswith(".json")
+    source = None if is_failure else Source.open(shown, permissions, SourceKind.RUN, SourceKind.RECORDING)
+    is_recording = source is not None and source.kind is SourceKind.RECORDING
+    if (is_failure or is_recording) and (seed is not None or last):
+        raise UsageError("a recording or a failure has its own start and actions; leave out --seed and --last")
+    if is_recording:
+        opened = Showing(shown, permissions=permissions).open()
+        recorded = opened.recording.episodes[0] if episode is None else opened.recording.episode(episode)
+        return next(trace.trace_recorded(opened, [recorded]))
+    if source is None:
         if episode is not None:
             raise UsageError(f"{shown} holds a single episode; leave out --episode")
-        return trace.trace_failure(path, permissions=permissions)
-    run = Run.open(path)
+        return trace.trace_failure(Path(shown), permissions=permissions)
+    run = Run.open(source)
     found = last_episodes(run) if seed is None and not last else None
     if found is None:
         root = run.record.seed if seed is None else seed
@@ -165,9 +168,10 @@ def diagnose(
 
     Next: `deepbots explain-episode RUN` explains an episode, and docs/diagnose.md every cause.
     """
-    from deepbots_cli.learning.group import Group, is_group
+    from deepbots_cli.learning.group import Group
 
-    folders = Group.open(run).runs if is_group(run) else [run]
+    source = Source.open(run, Permissions(code=allow_code), SourceKind.RUN, SourceKind.GROUP)
+    folders = Group.open(source).runs if source.kind is SourceKind.GROUP else [run]
     if not folders:
         raise UsageError(f"{run} is a group without a run yet; train it with: deepbots train --resume {quote(str(run))}")
     with terminal.transient_line("reading the logs ..."):
@@ -182,7 +186,7 @@ def diagnose(
             training = read_training(Run.open(folder))
             if not only_logs and not has_learned(training):
                 with terminal.progress("short episodes", always=False) as show:
-                    run_probes(training, permissions=Permissions(code=allow_code), on_episode=show)
+                    run_probes(training, permissions=source.permissions, on_episode=show)
             causes = find_causes(training)
         except RunError as error:
             if folder == run:

@@ -19,7 +19,8 @@ from deepbots_cli.cli.command import Overrides, integer, option
 from deepbots_cli.cli.commands import rewriting
 from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
 from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.diagnostics import Edit, Finding, Severity, Source
+from deepbots_cli.diagnostics import Edit, Finding, Severity
+from deepbots_cli.diagnostics import Source as SourceText
 from deepbots_cli.diagnostics.findings import RuleSelectors, Selection, exception_finding
 from deepbots_cli.diagnostics.render import escape_log_commands, github, junit, render, sarif, summary
 from deepbots_cli.document import Permissions
@@ -28,6 +29,7 @@ from deepbots_cli.lint import all_findings, simulate
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lint.settings import Settings, scenarios_in, settings
 from deepbots_cli.processes import safe_path
+from deepbots_cli.rollout.source import Source, SourceKind
 
 
 class Format(StrEnum):
@@ -148,7 +150,7 @@ def _words(option: str, given: Codes) -> RuleSelectors | None:
     if given is None:
         return None
     text = ",".join(given)
-    return RuleSelectors(tuple(word.strip() for word in text.split(",")), Source(option, text))
+    return RuleSelectors(tuple(word.strip() for word in text.split(",")), SourceText(option, text))
 
 
 def _check_simulator(fixing: bool) -> None:
@@ -282,7 +284,7 @@ class LintOptions:
 
     def called(self, name: str) -> str:
         """The name of the scenario `name` in findings."""
-        return (self.stdin_name or _NAMELESS) if name == STDIN else api.locate(name)[1]
+        return (self.stdin_name or _NAMELESS) if name == STDIN else Source.open(name, self.permissions, SourceKind.SCENARIO).name
 
 
 def scenario_names(given: Iterable[str], project: Settings) -> list[str]:
@@ -294,7 +296,7 @@ def scenario_names(given: Iterable[str], project: Settings) -> list[str]:
     names = list(dict.fromkeys(name for argument in given for name in _expanded(argument, project)))
     for name in names:
         if name != STDIN:
-            api.locate(name)
+            Source.open(name, Permissions(), SourceKind.SCENARIO)
     return names
 
 
@@ -321,7 +323,7 @@ def _look_at(look: LintOptions, name: str) -> list[Finding]:
     except (DeepbotsError, OSError):
         raise
     except Exception as error:  # an internal error  # noqa: BLE001
-        return [exception_finding("the compiler", Source(look.called(name), ""), error)]
+        return [exception_finding("the compiler", SourceText(look.called(name), ""), error)]
 
 
 def _in_processes(look_at: partial[list[Finding]], names: Sequence[str], jobs: int) -> list[list[Finding]]:

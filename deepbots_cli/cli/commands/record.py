@@ -10,6 +10,7 @@ from deepbots_cli.cli.command import Case, Force, Json, Overrides, Seed, Stage, 
 from deepbots_cli.cli.commands.view import Driver, EngineOrRun, Episode, ScenarioOrRun
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
+from deepbots_cli.rollout.source import RECORDING_SUFFIX
 
 
 def command(
@@ -44,15 +45,15 @@ def command(
     Next: `deepbots view RECORDING` plays it in the browser.
     """
     from deepbots_cli.view import pictures
-    from deepbots_cli.view.episodes import Source, closing_player
-    from deepbots_cli.view.recordings import SUFFIX, record
+    from deepbots_cli.view.episodes import Showing, closing_player
+    from deepbots_cli.view.recordings import record
 
-    if shown.endswith(SUFFIX):
+    if shown.endswith(RECORDING_SUFFIX):
         raise UsageError(f"{shown} is already a recording; `deepbots clip {shown}` makes a video of it")
-    source = Source(shown, overrides or (), permissions, engine, case, stage)
-    path = out or Path(f"{Path(shown).stem}-{seed}-{episode}{SUFFIX}")
-    pictures.check_target(path, (SUFFIX,), force=force)
-    with closing_player(source, driver) as world, terminal.progress(always=False) as show:
+    opened = Showing(shown, overrides or (), permissions, engine, case, stage)
+    path = out or Path(f"{Path(shown).stem}-{seed}-{episode}{RECORDING_SUFFIX}")
+    pictures.check_target(path, (RECORDING_SUFFIX,), force=force)
+    with closing_player(opened, driver) as world, terminal.progress(always=False) as show:
         numbers = range(episode, episode + episodes)
         last = record(world, path, seed, numbers, lambda number: show(number + 1 - episode, episodes) if show else None, steps=steps)
     rows = records.recorded_rows(zip(numbers, last, strict=True))

@@ -18,9 +18,10 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.program import identity
+from deepbots_cli.rollout.source import RECORDING_SUFFIX
 
 if TYPE_CHECKING:
-    from deepbots_cli.view.episodes import SourceState
+    from deepbots_cli.view.episodes import ShowingState
 
 
 def command(
@@ -53,11 +54,10 @@ def command(
 
     Next: `deepbots view RECORDING` plays it in the browser.
     """
-    from deepbots_cli.view.episodes import Player
-    from deepbots_cli.view.episodes import Source as Shown
+    from deepbots_cli.view.episodes import Player, Showing
     from deepbots_cli.view.replay import ReplayPlayer, verify, version_changes
 
-    opened = Shown(recording if recording.endswith(".mcap") else f"{recording}.mcap", permissions=permissions).open()
+    opened = Showing(recording.removesuffix(RECORDING_SUFFIX) + RECORDING_SUFFIX, permissions=permissions).open()
     found, notes = opened.recording, version_changes(opened.recording)
     if not to_verify and (tolerance or scenario):
         raise UsageError("--tolerance and --scenario are for --verify")
@@ -95,16 +95,16 @@ def command(
         raise typer.Exit(FAILED)
 
 
-def _elsewhere(opened: SourceState, scenario: str, overrides: Sequence[str], permissions: Permissions) -> tuple[SourceState, list[str]]:
+def _elsewhere(opened: ShowingState, scenario: str, overrides: Sequence[str], permissions: Permissions) -> tuple[ShowingState, list[str]]:
     """Another scenario for the episodes of a recording, and a line for each setting that differs.
 
     Raises:
         UsageError: Its observation, action or messages differ; lists them.
     """
-    from deepbots_cli.view.episodes import Source as Shown
+    from deepbots_cli.view.episodes import Showing
 
-    recorded = opened.source
-    other = Shown(scenario, overrides, permissions, recorded.engine, recorded.case, recorded.stage).open()
+    recorded = opened.shown
+    other = Showing(scenario, overrides, permissions, recorded.engine, recorded.case, recorded.stage).open()
     if other.program is None or opened.program is None:
         raise ScenarioError(other.findings)
     differ = identity.differences(opened.program, other.program, words=("recording", "scenario"))

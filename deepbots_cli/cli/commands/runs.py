@@ -12,9 +12,9 @@ from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.command import Json, option
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.group import is_group
 from deepbots_cli.learning.listing import ListedRun, evaluations, list_runs, read_listed, sort_runs
-from deepbots_cli.learning.run import RECORD_NAME, EvaluationRecord, short_settings
+from deepbots_cli.learning.run import EvaluationRecord, short_settings
+from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 
 class Sort(StrEnum):
@@ -56,7 +56,7 @@ def command(
 
     Next: `deepbots eval RUN` evaluates a run or a group, and `deepbots compare RUN RUN` compares them.
     """
-    if (folder / RECORD_NAME).is_file():
+    if folder_kind(folder) is SourceKind.RUN:
         _show_run(folder, as_json=as_json)
         return
     if not folder.is_dir() and folder != Path("runs"):
@@ -74,7 +74,7 @@ def command(
         for run in found:
             files.setdefault(run.scenario, set()).add(run.source)
         rows = [_row(run, with_file=len(files[run.scenario]) > 1) for run in found]
-        terminal.print_result(f"{'group' if is_group(folder) else 'runs in'} {folder}\n" + table(rows))
+        terminal.print_result(f"{'group' if folder_kind(folder) is SourceKind.GROUP else 'runs in'} {folder}\n" + table(rows))
         for run in found:
             if run.problem is not None:
                 terminal.note(f"{run.path.name}: {run.problem}")

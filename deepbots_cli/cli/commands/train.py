@@ -23,10 +23,10 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning import report
-from deepbots_cli.learning.group import is_group
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.processes import python_command, python_environment
+from deepbots_cli.rollout.source import Source, SourceKind
 
 if TYPE_CHECKING:
     from deepbots_cli.learning import TrainingResult
@@ -114,7 +114,7 @@ def command(
             )
         changes: dict[str, Any] = {"total_timesteps": timesteps, "stop_when_solved": False if full else None, "permissions": permissions}
         changes |= {"callbacks": _names(callbacks), "loggers": _names(loggers), "progress": progress}
-        if is_group(resume):
+        if Source.open(resume, permissions, SourceKind.RUN, SourceKind.GROUP).kind is SourceKind.GROUP:
             group = learning.resume_group(resume, on_seed=None if quiet else _announce_seed, **changes)
             _finish_group(group, quiet=quiet, as_json=as_json, permissions=permissions)
             return

@@ -28,7 +28,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write
 
 if TYPE_CHECKING:
-    from deepbots_cli.view.episodes import Source
+    from deepbots_cli.view.episodes import Showing
 
 MAX_SIDE = 4096
 
@@ -176,13 +176,13 @@ def _source(
     stage: Stage,
     engine: EngineOrRun,
     permissions: Permissions,
-) -> Source:
-    from deepbots_cli.view.episodes import Source
+) -> Showing:
+    from deepbots_cli.view.episodes import Showing
 
-    return Source(shown, overrides or (), permissions, engine, case, stage)
+    return Showing(shown, overrides or (), permissions, engine, case, stage)
 
 
-def _serve(source: Source, open_: bool, **options: Any) -> None:
+def _serve(source: Showing, open_: bool, **options: Any) -> None:
     """Serve a page until Ctrl-C; `options` are those of `Page`."""
     from deepbots_cli.view.page import Page
 

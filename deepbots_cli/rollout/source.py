@@ -1,0 +1,166 @@
+"""`Source.open`: which scenario is meant by what a person or a program names. Nothing else in the package answers this.
+
+    cartpole, cartpole.yaml, a `Scenario`    a scenario
+    runs/cartpole-0-1                        a run: a folder with run.json
+    runs/cartpole-seeds-1                    a group of runs: a folder with group.json
+    runs/cartpole-0-1/models/policy/best.zip a checkpoint: a model in the folder of a run
+    cartpole-0-0.mcap                        a recording
+
+A run, a group and an open recording keep their scenario as `resolved.yaml` in a folder that holds all files that it reads.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from pathlib import Path
+
+from deepbots_cli.compiler import CheckedScenario, check
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
+from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.document import Document, Permissions, load, loads, shipped
+from deepbots_cli.document.load import NO_DRAFTS, TESTS, Drafts
+from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.scenario import Scenario
+
+RECORD_NAME = "run.json"
+GROUP_RECORD_NAME = "group.json"
+MODELS_FOLDER = "models"
+RECORDING_SUFFIX = ".mcap"
+
+
+class SourceKind(Enum):
+    """What a source is; the value is its name in messages."""
+
+    SCENARIO = "a scenario"
+    RUN = "a run"
+    GROUP = "a group of runs"
+    CHECKPOINT = "a model of a run"
+    RECORDING = "a recording"
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """What was named, before anything of it is read.
+
+    Attributes:
+        kind: What it is.
+        name: How to call it.
+        path: The file, or the folder of a run or a group; that of its run for a checkpoint.
+        scenario: The file of its scenario, or the scenario itself; None for a recording, whose scenario is in it.
+        permissions: What its scenario may use.
+        project: The folder that its scenario may read from; None for the nearest one above it that looks like a project.
+        model: The name of the model, of a checkpoint.
+    """
+
+    kind: SourceKind
+    name: str
+    path: Path
+    scenario: Path | Scenario | None
+    permissions: Permissions = Permissions()
+    project: Path | None = None
+    model: str | None = None
+
+    @classmethod
+    def open(cls, source: str | Path | Scenario | Source, permissions: Permissions = Permissions(), *kinds: SourceKind) -> Source:
+        """What `source` names, which must be one of `kinds` if any are given; `permissions` are those of a scenario that is named.
+
+        Raises:
+            UsageError: It is none of these, in one sentence; a RunError where a run or a group is wanted.
+        """
+        if isinstance(source, Scenario):
+            return cls(SourceKind.SCENARIO, f"<Scenario {source.name}>", Path(), source, permissions)
+        error = UsageError if not kinds or SourceKind.SCENARIO in kinds else RunError
+        found = source if isinstance(source, Source) else cls._named(Path(source), str(source), permissions, error)
+        if kinds and found.kind not in kinds:
+            wanted = " or ".join(kind.value for kind in kinds)
+            what = "a file" if found.kind is SourceKind.SCENARIO and found.path.suffix not in (".yaml", ".yml") else found.kind.value
+            hint = ""
+            if SourceKind.RUN in kinds and found.kind is SourceKind.GROUP:
+                hint = f"; name one of its runs, such as {found.path}/seed-0"
+            elif SourceKind.RUN in kinds and found.kind is SourceKind.CHECKPOINT:
+                hint = f"; name the run: {found.path}"
+            raise error(f"{found.name} is {what}, and not {wanted}{hint}")
+        return found
+
+    @classmethod
+    def _named(cls, path: Path, name: str, permissions: Permissions, error: type[UsageError]) -> Source:
+        try:
+            kind = folder_kind(path)
+            if kind is not None:
+                return cls.kept(path, permissions, kind)
+            if path.suffix.lower() in (".urdf", ".xacro"):
+                raise error(f"{name} is a robot file, not a scenario; `deepbots inspect {name}` describes it")
+            found = None if path.is_file() else shipped.scenario_path(name)  # a folder of the same name does not hide it
+            if found is not None:
+                return cls(SourceKind.SCENARIO, found.name, found, found, permissions)
+            if path.is_dir():
+                any(path.iterdir())  # which fails where it may not be entered
+                raise error(f"{name} is not a run, a group or a scenario: it is a folder without {RECORD_NAME} or {GROUP_RECORD_NAME}")
+            if not path.exists():
+                raise error(f"no file, folder or shipped scenario is called '{name}'; {_hint(path)}")
+        except (OSError, ValueError, RuntimeError) as failed:
+            reason = failed.strerror if isinstance(failed, OSError) else None
+            raise error(f"{name} cannot be read: {(reason or 'not a usable file name').lower()}") from None
+        if path.suffix == RECORDING_SUFFIX:
+            return cls(SourceKind.RECORDING, name, path, None, permissions)
+        run = path.parent.parent.parent
+        if path.suffix == ".zip" and path.parent.parent.name == MODELS_FOLDER and folder_kind(run) is SourceKind.RUN:
+            return replace(cls.kept(run, permissions, SourceKind.CHECKPOINT), name=name, model=path.stem)
+        return cls(SourceKind.SCENARIO, name, path, path, permissions)
+
+    @classmethod
+    def kept(cls, folder: Path, permissions: Permissions = Permissions(), kind: SourceKind = SourceKind.RUN) -> Source:
+        """What keeps its scenario in a folder, which is the whole project of this scenario.
+
+        The scenario may name Python functions: making a world asks whether they may run.
+        """
+        return cls(kind, str(folder), folder, folder / RESOLVED_NAME, permissions, folder)
+
+    def document(self, *, overrides: Sequence[str] = (), drafts: Drafts = NO_DRAFTS, tests: bool = False) -> Document:
+        """The text of its scenario.
+
+        Args:
+            overrides: Assignments `path=value`, as for `--set`.
+            drafts: What to read in the place of files, by their absolute paths.
+            tests: Whether to read `tests` also with `overrides`, which may change what the tests name.
+
+        Raises:
+            UsageError: The file cannot be read.
+        """
+        permissions = self.permissions if self.project is None else replace(self.permissions, code=True)
+        if isinstance(self.scenario, Scenario):
+            document = loads(self.scenario.to_yaml(), self.name, overrides=overrides, permissions=permissions)
+        else:
+            path = self.scenario or self.path
+            display = self.name if path == self.path else str(path)
+            document = load(path, overrides, display=display, permissions=permissions, drafts=drafts, project=self.project)
+        root = document.root
+        if overrides and not tests and root is not None:
+            root = replace(root, entries={key: entry for key, entry in root.entries.items() if key != TESTS})
+        return replace(document, root=root)
+
+    def checked(self, *, overrides: Sequence[str] = (), drafts: Drafts = NO_DRAFTS, tests: bool = False) -> CheckedScenario:
+        """Its scenario, read and checked; arguments and errors are those of `document`."""
+        return check(self.document(overrides=overrides, drafts=drafts, tests=tests))
+
+
+def folder_kind(path: Path) -> SourceKind | None:
+    """Whether a folder is that of a run or of a group; None for any other path."""
+    for name, kind in ((GROUP_RECORD_NAME, SourceKind.GROUP), (RECORD_NAME, SourceKind.RUN)):
+        if os.path.isfile(path / name):  # unlike `Path.is_file`, False for a folder that may not be entered
+            return kind
+    return None
+
+
+def _hint(path: Path) -> str:
+    inside = Path("runs") / path
+    beside = [path.with_name(path.name + ending) for ending in (".yaml", ".yml")]
+    near = next((str(file) for file in (*beside, inside) if file.exists()), None)
+    if near is not None:
+        return f"did you mean {near}?"
+    names = shipped.scenario_names()
+    near = nearest_word(path.stem, names)
+    return f"did you mean {near}? (`deepbots list` shows all)" if near else f"the shipped scenarios are: {', '.join(names)}"

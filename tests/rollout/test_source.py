@@ -1,0 +1,131 @@
+"""`Source.open` alone says which scenario is meant, and every command refuses the same in the same sentence."""
+
+import os
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+import deepbots_cli
+from deepbots_cli import api
+from deepbots_cli.cli import main
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.rollout.source import Source, SourceKind
+from deepbots_cli.scenario import Scenario
+
+SCENARIO = [["train", "?", "--quiet"], ["run", "?"], ["bench", "?"], ["compile", "?"], ["eject", "?", "made"], ["schema", "--for", "?"]]
+RUN = [
+    ["eval", "?"],
+    ["train", "--resume", "?"],
+    ["diagnose", "?"],
+    ["report", "?", "-o", "out.html"],
+    ["compare", "?", "?"],
+    ["export", "?", "-o", "bundle"],
+    ["explain-episode", "?"],
+]
+EITHER = [
+    ["inspect", "?"],
+    ["diff", "?", "cartpole"],
+    ["view", "?"],
+    ["play", "?"],
+    ["picture", "?"],
+    ["clip", "?"],
+    ["record", "?", "-o", "one.mcap"],
+]
+FOLDER_OR_FILE = [["lint", "?"], ["test", "?"]]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    for name in ("empty", "pictures", "broken", "group/seed-0", "run/models/policy"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "pictures" / "one.png").write_bytes(b"\x89PNG")
+    (tmp_path / "noise.bin").write_bytes(b"\0\1\2")
+    (tmp_path / "robot.urdf").write_text("<robot/>")
+    (tmp_path / "broken" / "run.json").write_text("{")
+    (tmp_path / "run" / "run.json").write_text("{")
+    (tmp_path / "run" / "models" / "policy" / "best.zip").write_bytes(b"")
+    (tmp_path / "group" / "group.json").write_text("{}")
+    shutil.copy(Source.open("cartpole").path, tmp_path / "cart.yaml")
+    return tmp_path
+
+
+def refused(words: list[str], name: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """What a command says of a source, which is a sentence in one line."""
+    assert main([name if word == "?" else word for word in words]) == 2
+    found = capsys.readouterr()
+    assert found.out == ""
+    assert found.err.count("\n") == 1
+    return found.err.removeprefix("error: ").removesuffix("\n")
+
+
+NOWHERE = "no file, folder or shipped scenario is called '{}'; "
+NOT_A_SOURCE = "{} is not a run, a group or a scenario: it is a folder without run.json or group.json"
+
+
+@pytest.mark.parametrize(
+    ("name", "commands", "sentence"),
+    [
+        ("cartpool", [*SCENARIO, *RUN, *EITHER, *FOLDER_OR_FILE], NOWHERE + "did you mean cartpole? (`deepbots list` shows all)"),
+        ("cart", [*SCENARIO, *RUN, *EITHER, *FOLDER_OR_FILE], NOWHERE + "did you mean cart.yaml?"),
+        ("empty", [*SCENARIO, *RUN, *EITHER], NOT_A_SOURCE),
+        ("pictures", [*SCENARIO, *RUN, *EITHER], NOT_A_SOURCE),
+        ("x" * 300, [*SCENARIO, *RUN, *EITHER], "{} cannot be read: file name too long"),
+        ("robot.urdf", [*SCENARIO, *RUN, *EITHER[1:], *FOLDER_OR_FILE], "{0} is a robot file, not a scenario; `deepbots inspect {0}`"),
+        ("noise.bin", RUN[:6], "{} is a file, and not a run"),
+        ("cart.yaml", RUN[:6], "{} is a scenario, and not a run"),
+        ("broken", SCENARIO, "{} is a run, and not a scenario"),
+        ("broken", [*RUN[:6], *EITHER], "{}/run.json is damaged: it is not valid JSON"),
+        ("group", [*SCENARIO], "{} is a group of runs, and not a scenario"),
+        ("group", [["export", "?", "-o", "bundle"], ["view", "?"]], "{} is a group of runs, and not a "),
+        ("run/models/policy/best.zip", [["eval", "?"], ["export", "?"]], "{} is a model of a run, and not a run"),
+    ],
+)  # fmt: skip
+def test_every_command_refuses_a_source_in_the_same_sentence(
+    folder: Path, capsys: pytest.CaptureFixture[str], name: str, commands: list[list[str]], sentence: str
+) -> None:
+    for words in commands:
+        assert refused(words, name, capsys).startswith(sentence.format(name)), words
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may enter every folder")
+def test_a_folder_that_may_not_be_entered_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "empty").chmod(0)
+    for words in (*SCENARIO, *RUN, *EITHER):
+        assert refused(words, "empty", capsys) == "empty cannot be read: permission denied"
+
+
+def test_a_source_says_what_it_is(folder: Path) -> None:
+    kinds = {"cartpole": SourceKind.SCENARIO, "cart.yaml": SourceKind.SCENARIO, "run": SourceKind.RUN, "group": SourceKind.GROUP}
+    kinds |= {"run/models/policy/best.zip": SourceKind.CHECKPOINT}
+    (folder / "cartpole").mkdir()  # does not hide the shipped scenario
+    assert {name: Source.open(name).kind for name in kinds} == kinds
+    checkpoint = Source.open("run/models/policy/best.zip")
+    assert (checkpoint.path, checkpoint.model) == (Path("run"), "best")
+    (folder / "one.mcap").touch()
+    assert Source.open("one.mcap").kind is SourceKind.RECORDING
+    scenario = Scenario.from_yaml(Source.open("cartpole").path)
+    assert Source.open(scenario).checked().program is not None
+    with pytest.raises(RunError, match="run is a run, and not a group of runs"):
+        Source.open("run", Permissions(), SourceKind.GROUP)
+
+
+def test_the_python_api_refuses_as_the_commands_do(folder: Path) -> None:
+    for call in (api.load, api.compile, api.make, api.lint, deepbots_cli.train):
+        with pytest.raises(UsageError, match=re.escape(NOT_A_SOURCE.format("empty"))):
+            call("empty")
+    for call in (deepbots_cli.evaluate, deepbots_cli.resume, deepbots_cli.load_policy):
+        with pytest.raises(RunError, match=re.escape(NOT_A_SOURCE.format("empty"))):
+            call("empty")
+
+
+def test_nothing_else_in_the_package_decides_which_scenario_is_meant() -> None:
+    """The files by which a run, a group and a recording are known are looked for in one module."""
+    root = Path(deepbots_cli.__file__).parent
+    looks = re.compile(r"""RECORD_NAME\)\.(is_file|exists)|(run|group)\.json["']\)\.(is_file|exists)|["']\.mcap["']""")
+    assert [path.relative_to(root).as_posix() for path in root.rglob("*.py") if looks.search(path.read_text("utf-8"))] == [
+        "rollout/source.py"
+    ]
