@@ -3,7 +3,7 @@
     cartpole, cartpole.yaml, a `Scenario`    a scenario
     runs/cartpole-0-1                        a run: a folder with run.json
     runs/cartpole-seeds-1                    a group of runs: a folder with group.json
-    runs/cartpole-0-1/models/policy/best.zip a checkpoint: a model in the folder of a run
+    runs/cartpole-0-1/models/agent/best.zip a checkpoint: a model in the folder of a run
     cartpole-0-0.mcap                        a recording
 
 A run, a group and an open recording keep their scenario as `resolved.yaml` in a folder that holds all files that it reads.

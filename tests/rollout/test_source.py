@@ -40,7 +40,7 @@ FOLDER_OR_FILE = [["lint", "?"], ["test", "?"]]
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    for name in ("empty", "pictures", "broken", "group/seed-0", "run/models/policy"):
+    for name in ("empty", "pictures", "broken", "group/seed-0", "run/models/agent"):
         (tmp_path / name).mkdir(parents=True)
     (tmp_path / "pictures" / "one.png").write_bytes(b"\x89PNG")
     (tmp_path / "noise.bin").write_bytes(b"\0\1\2")
@@ -81,7 +81,7 @@ NOT_A_SOURCE = "{} is not a run, a group or a scenario: it is a folder without r
         ("broken", [*RUN[:6], *EITHER], "{}/run.json is damaged: it is not valid JSON"),
         ("group", [*SCENARIO], "{} is a group of runs, and not a scenario"),
         ("group", [["export", "?", "-o", "bundle"], ["view", "?"]], "{} is a group of runs, and not a "),
-        ("run/models/policy/best.zip", [["eval", "?"], ["export", "?"]], "{} is a model of a run, and not a run"),
+        ("run/models/agent/best.zip", [["eval", "?"], ["export", "?"]], "{} is a model of a run, and not a run"),
     ],
 )  # fmt: skip
 def test_every_command_refuses_a_source_in_the_same_sentence(
@@ -100,10 +100,10 @@ def test_a_folder_that_may_not_be_entered_is_refused(folder: Path, capsys: pytes
 
 def test_a_source_says_what_it_is(folder: Path) -> None:
     kinds = {"cartpole": SourceKind.SCENARIO, "cart.yaml": SourceKind.SCENARIO, "run": SourceKind.RUN, "group": SourceKind.GROUP}
-    kinds |= {"run/models/policy/best.zip": SourceKind.CHECKPOINT}
+    kinds |= {"run/models/agent/best.zip": SourceKind.CHECKPOINT}
     (folder / "cartpole").mkdir()  # does not hide the shipped scenario
     assert {name: Source.open(name).kind for name in kinds} == kinds
-    checkpoint = Source.open("run/models/policy/best.zip")
+    checkpoint = Source.open("run/models/agent/best.zip")
     assert (checkpoint.path, checkpoint.model) == (Path("run"), "best")
     (folder / "one.mcap").touch()
     assert Source.open("one.mcap").kind is SourceKind.RECORDING
