@@ -5,9 +5,7 @@ by name. Whatever happens in every step is bound once, when the environment is b
 out readers and writers, so that a step looks nothing up. A reader only reads; two calls between two
 steps return equal values.
 
-The names of methods that set a value of the episode begin with `set`, and parameters that hold a body or a part of one are called
-`body`, `robot`, `part`, `owner`, `one` or `other`: `runtime/copies.py` passes calls on by these names. docs/engine-port.md describes every
-method.
+docs/engine-port.md describes every method. `EngineProxy` passes each of them on: a method that is added to the port is added there.
 
 A further engine is a class that fits `Engine`: in a package with an entry point of the group `deepbots.engines`, or in
 `engines/`, with its line in `engine_kinds.py`.
@@ -17,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, ParamSpec, Protocol, TypeVar
 
 from deepbots_cli.frames import Frame, Quaternion, Triple
 
@@ -28,6 +26,9 @@ if TYPE_CHECKING:
     from deepbots_cli.program.world import EngineParameter, WorldModel
 
     Image = NDArray[np.uint8]
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 SERVO_TIME = 0.02
 """Time (s) in which the servo of an engine, without stiffness, reduces its error to 1/e."""
@@ -273,6 +274,195 @@ class Engine(Protocol):
 
     def close(self) -> None:
         """Release the world; may be called twice."""
+
+
+class EngineProxy:
+    """An `Engine` that passes each call on to another one. A method that is added to the port is added here."""
+
+    name: str
+    capabilities: frozenset[Capability]
+
+    def __init__(self, engine: Engine) -> None:
+        self.engine = engine
+        self.name, self.capabilities = engine.name, engine.capabilities
+
+    def body(self, name: str) -> str:
+        """The name of a body in the other engine."""
+        return name
+
+    def bound(self, read: Callable[P, R]) -> Callable[P, R]:
+        """A reader of the other engine, as this one gives it."""
+        return read
+
+    def changing(self, body: str = "") -> Engine | None:
+        """The other engine, to change this body or the world; None where this engine leaves it alone."""
+        return self.engine
+
+    def _part(self, part: Part) -> Part:
+        return self.body(part[0]), part[1]
+
+    def reset(self) -> None:
+        self.engine.reset()
+
+    def place(
+        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = ZERO_VECTOR, angular_velocity: Triple = ZERO_VECTOR
+    ) -> None:
+        if engine := self.changing(body):
+            engine.place(self.body(body), position, orientation, velocity, angular_velocity)
+
+    def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
+        if engine := self.changing(robot):
+            engine.set_joint(self.body(robot), joint, position, velocity)
+
+    def choose(self, body: str, variant: str) -> None:
+        if engine := self.changing(body):
+            engine.choose(self.body(body), variant)
+
+    def set_parameter(self, parameter: EngineParameter, owner: tuple[str, ...], *values: float) -> None:
+        if engine := self.changing(*owner[:1]):
+            engine.set_parameter(parameter, (*map(self.body, owner[:1]), *owner[1:]), *values)
+
+    @property
+    def gravity(self) -> Triple:
+        return self.engine.gravity
+
+    def before_substep(self, act: Callable[[], object]) -> None:
+        self.engine.before_substep(act)
+
+    def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
+        return self.engine.pusher(self._part(part), frame)
+
+    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
+        met = None if others is None else [self._part(other) for other in others]
+        return self.bound(self.engine.contact(self._part(one), met, ground=ground))
+
+    def contact_force(self, one: Part) -> ForceReader:
+        return self.bound(self.engine.contact_force(self._part(one)))
+
+    def clearance(self, one: Part, other: Part) -> ClearanceReader:
+        return self.bound(self.engine.clearance(self._part(one), self._part(other)))
+
+    def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:
+        return self.bound(self.engine.rays(self._part(part), rays, reach))
+
+    def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
+        return self.bound(self.engine.camera(self._part(part), mount, width, height, fov))
+
+    def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
+        return self.bound(self.engine.inverse_kinematics(self._part(part), joints))
+
+    def step(self, substeps: int) -> None:
+        self.engine.step(substeps)
+
+    def snapshot(self) -> object:
+        return self.engine.snapshot()
+
+    def restore(self, snapshot: object) -> None:
+        self.engine.restore(snapshot)
+
+    def overlaps(self) -> Sequence[Overlap]:
+        return self.engine.overlaps()
+
+    def require_finite(self) -> None:
+        self.engine.require_finite()
+
+    def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
+        return self.bound(self.engine.joint_states(self.body(robot), joints))
+
+    def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
+        return self.bound(self.engine.joint_torques(self.body(robot), joints))
+
+    def pose(self, body: str, link: str | None = None) -> PoseReader:
+        return self.bound(self.engine.pose(self.body(body), link))
+
+    def velocity(self, body: str, link: str | None = None) -> VelocityReader:
+        return self.bound(self.engine.velocity(self.body(body), link))
+
+    def motion(self, body: str, link: str | None = None) -> MotionReader:
+        return self.bound(self.engine.motion(self.body(body), link))
+
+    def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
+        return self.engine.velocity_motor(self.body(robot), joints, max_torque)
+
+    def position_motor(
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        stiffness: Sequence[float] | None,
+        damping: Sequence[float] | None,
+    ) -> MotorWriter:
+        return self.engine.position_motor(self.body(robot), joints, max_torque, stiffness, damping)
+
+    def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
+        return self.engine.torque_motor(self.body(robot), joints, max_torque)
+
+    def render(self, view: View) -> Image:
+        return self.engine.render(view)
+
+    def close(self) -> None:
+        """Nothing: whoever made the other engine closes it."""
+
+
+class BatchEngine(Protocol):
+    """An engine that holds many worlds of one model and steps them together.
+
+    Readers and writers are those of `Engine`, with a column in the place of each number: an array with one number per world. A column that
+    was read stays as it is.
+    """
+
+    name: str
+    members: Sequence[Engine]
+    """An engine per world, which begins the episodes of its world and serves rare readers."""
+    write_mask: NDArray[np.bool_] | None
+    """The worlds that motors are written in; None for all."""
+
+    @property
+    def gravity(self) -> Triple:
+        """Where no episode sets another."""
+
+    def step(self, substeps: int, running: NDArray[np.bool_] | None = None) -> None:
+        """Advance all worlds, or only those that are `running`."""
+
+    def begin_episodes(self, worlds: Sequence[int]) -> None:
+        """Take over the episodes that the members of these worlds have begun."""
+
+    def non_finite_worlds(self) -> NDArray[np.intp]:
+        """The numbers of the worlds whose state is not finite."""
+
+    def joint_states(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]: ...
+
+    def joint_torques(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]: ...
+
+    def pose(self, body: str, link: str | None = None) -> Callable[[], Any]: ...
+
+    def velocity(self, body: str, link: str | None = None) -> Callable[[], Any]: ...
+
+    def motion(self, body: str, link: str | None = None) -> Callable[[], Any]: ...
+
+    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> Callable[[], NDArray[np.bool_]]: ...
+
+    def contact_force(self, one: Part) -> Callable[[], NDArray[np.float64]]: ...
+
+    def clearance(self, one: Part, other: Part) -> Callable[[], NDArray[np.float64]]: ...
+
+    def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> Callable[[], NDArray[np.float64]]: ...
+
+    def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> Callable[[Any], object]: ...
+
+    def position_motor(
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        stiffness: Sequence[float] | None,
+        damping: Sequence[float] | None,
+    ) -> Callable[[Any], object]: ...
+
+    def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> Callable[[Any], object]: ...
+
+    def close(self) -> None:
+        """Release all worlds."""
 
 
 class EngineFactory(Protocol):

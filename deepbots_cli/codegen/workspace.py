@@ -32,6 +32,8 @@ ReaderKeys = dict[ReaderKey, None]
 """The readers that a method calls, in order of first use."""
 
 _KINDS = ("joints", "torques", "pose", "velocity")
+_OF_COLUMNS = (*_KINDS, "clearance", "contact", "contacts", "collided")
+"""The kinds of readers that engines with batches give as columns."""
 _POSES = {"position": "pose", "orientation": "pose", "velocity": "velocity", "angular_velocity": "velocity"}
 _RESULT_INDEX = {
     "position": 0,
@@ -65,7 +67,7 @@ class Readers:
     def __init__(self, names: Names, constants: Constants, roots: Mapping[str, str], *, on_columns: bool = False) -> None:
         """`roots` has the full name of the root link of each robot, whose readers are named after the robot alone.
 
-        For a batch (`on_columns`), motion is read as columns, and everything else from the single worlds.
+        For a batch (`on_columns`), what no engine gives as columns is read from the single worlds.
         """
         self._on_columns = on_columns
         self._names = names
@@ -165,9 +167,8 @@ class Readers:
     def _reader(self, key: ReaderKey) -> str:
         kind, parts = key
         body, _, link = parts[0].partition(".")
-        if self._on_columns and kind not in _KINDS:
-            name = quoted(f"read_{self._local(key)}")
-            return f"[self.each({name}, index) for index in range({len(parts) - 2})]" if kind == "contacts" else f"self.each({name})"
+        if self._on_columns and kind not in _OF_COLUMNS:
+            return f"self.each({quoted(f'read_{self._local(key)}')})"
         match kind:
             case "joints" | "torques":
                 method = "joint_states" if kind == "joints" else "joint_torques"

@@ -12,7 +12,7 @@ point of the group `deepbots.engines`: a name, and the `module:attribute` of an 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from deepbots_cli import plugins
 from deepbots_cli.diagnostics.nearest import nearest_word
@@ -23,7 +23,7 @@ from deepbots_cli.errors import BatchError, EngineError, MissingExtraError, Usag
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-    from deepbots_cli.port import Engine, EngineFactory
+    from deepbots_cli.port import BatchEngine, Engine, EngineFactory
     from deepbots_cli.program.world import WorldModel
 
 ENGINES = ALL.own
@@ -62,7 +62,7 @@ def create(name: str, world: WorldModel) -> Engine:
     return engine
 
 
-def create_batch(name: str, world: WorldModel, count: int) -> Any:
+def create_batch(name: str, world: WorldModel, count: int) -> BatchEngine:
     """`count` worlds in the engine called `name`.
 
     Raises:
@@ -73,7 +73,7 @@ def create_batch(name: str, world: WorldModel, count: int) -> Any:
     if name not in BATCHES:
         raise BatchError(f"the engine '{name}' has no batches of worlds; use one of {', '.join(BATCHES)}")
     try:
-        return plugins.import_attribute(BATCHES[name])(_with_masses(world), count)
+        return cast("BatchEngine", plugins.import_attribute(BATCHES[name])(_with_masses(world), count))
     except ModuleNotFoundError as error:
         if error.name in _OF_EXTRA_SIM:
             raise MissingExtraError("sim", "running a scenario") from error

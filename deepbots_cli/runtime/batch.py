@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import EngineError, EvaluationError
+from deepbots_cli.port import BatchEngine
 from deepbots_cli.program.robots import Direction, Sensor
 from deepbots_cli.runtime.columns import BatchMemory
 from deepbots_cli.runtime.devices import BatchDevice, stack_worlds
@@ -71,14 +72,14 @@ class EpisodeHistory(NamedTuple):
 class PerWorldCall:
     """Asks the single worlds in turn: functions that take and give single numbers, over columns."""
 
-    def __init__(self, functions: Sequence[Callable[..., Any]], chosen: Callable[[], Column | None]) -> None:
-        self._functions, self._chosen = functions, chosen
+    def __init__(self, functions: Sequence[Callable[..., Any]], engine: BatchEngine) -> None:
+        self._functions, self._engine = functions, engine
 
     def __call__(self, *arguments: Any) -> Any:
         if not arguments:
             return stack_worlds([function() for function in self._functions])
         rows = zip(*(_rows(argument, len(self._functions)) for argument in arguments), strict=True)
-        chosen = self._chosen()
+        chosen = self._engine.write_mask
         given = [
             function(*row) if chosen is None or chosen[world] else None
             for world, (function, row) in enumerate(zip(self._functions, rows, strict=True))
@@ -150,10 +151,9 @@ class _BatchPart:
         self._singles, self._batch = singles, batch
         self._loaded: list[BatchMemory | BatchDevice] = []
 
-    def each(self, attribute: str, index: int | None = None) -> PerWorldCall:
+    def each(self, attribute: str) -> PerWorldCall:
         """A call of the attribute of this name of each single world."""
-        found = [getattr(single, attribute) for single in self._singles]
-        return PerWorldCall(found if index is None else [parts[index] for parts in found], lambda: self._batch.engine.write_mask)
+        return PerWorldCall([getattr(single, attribute) for single in self._singles], self._batch.engine)
 
     def memory(self, attribute: str) -> BatchMemory:
         """The memory of a stateful function."""
@@ -196,7 +196,7 @@ class BatchController(_BatchPart):
         self.devices: dict[str, BatchDevice] = {}
         self.bind(batch.engine)
 
-    def bind(self, engine: Any) -> None:
+    def bind(self, engine: BatchEngine) -> None:
         """Take readers and writers from the engine."""
 
     def device(self, name: str) -> BatchDevice:
@@ -221,7 +221,7 @@ class BatchSupervisor(_BatchPart, ABC):
     """Attributes of the single supervisors that a new episode gives: drawn parameters, and what is told in the next step."""
     TERMS: tuple[str, ...] = ()
 
-    def __init__(self, singles: Sequence[Supervisor], engine: Any) -> None:
+    def __init__(self, singles: Sequence[Supervisor], engine: BatchEngine) -> None:
         super().__init__(singles, self)
         first = singles[0]
         self.singles, self.engine, self.scenario, self.count = singles, engine, first.scenario, len(singles)
@@ -231,7 +231,10 @@ class BatchSupervisor(_BatchPart, ABC):
         self.losses: list[LostWorld] = []
         """The worlds that were no longer finite, in the order in which it was noticed."""
         self._errors: dict[int, str] = {}
-        self._episodes = [EpisodeHistory(0, []) for _ in singles]
+        self._starts: list[int | dict[str, Any]] = [0] * len(singles)
+        self._first = np.zeros(len(singles), int)
+        """Of each world, how its episode began, and the place of its first action in `_actions`, the actions of all worlds."""
+        self._actions: list[Any] = []
         self._views = frame_indices(self.scenario.agent)
         self.depth, self.newest = len(self._views), 0
         self.frames = np.zeros((self.depth, len(self.scenario.agent.numbers), self.count), np.float32)
@@ -259,7 +262,7 @@ class BatchSupervisor(_BatchPart, ABC):
     # What `bind` makes
 
     @abstractmethod
-    def bind(self, engine: Any) -> None:
+    def bind(self, engine: BatchEngine) -> None:
         """Take readers from the engine."""
 
     @abstractmethod
@@ -320,8 +323,7 @@ class BatchSupervisor(_BatchPart, ABC):
     def advance(self, action: Any, resting: Column | None = None) -> BatchStep:
         """One step of all worlds but those that are `resting` (truth values), whose episodes have ended; no episode begins."""
         action = _copied(action)
-        for episode, act in zip(self._episodes, _each_of(action, self.count), strict=True):
-            episode.actions.append(act)
+        self._actions.append(action)
         self._acting = self.running = None if resting is None else ~resting
         with np.errstate(all="ignore"):
             self._advance(action)
@@ -334,20 +336,25 @@ class BatchSupervisor(_BatchPart, ABC):
         done = np.flatnonzero(ended if resting is None else ended & ~resting)
         if not len(done):
             return BatchStep(observations, rewards, terms, terminated, truncated, done, None, [])
-        last, infos = _rows_of_worlds(observations, done), [self.info(world) for world in done.tolist()]
+        last, infos = _of_worlds(observations, done), [self.info(world) for world in done.tolist()]
         return BatchStep(observations, rewards, terms, terminated, truncated, done, last, infos)
 
     def begin(self, worlds: Sequence[int], seeds: Sequence[int | None], options: dict[str, Any] | None = None) -> None:
         """Let some worlds begin episodes, each with a seed of its own or going on with its streams, and with the same `options`."""
         for world, seed in zip(worlds, seeds, strict=True):
             single = self.singles[world]
-            self._episodes[world] = EpisodeHistory(single.random_state() if seed is None else seed, [])
+            self._starts[world] = single.random_state() if seed is None else seed
             single.reset(seed=seed, options=options)
+        self._first[worlds] = len(self._actions)
+        if (ended := int(self._first.min())) > 1000:
+            del self._actions[:ended]
+            self._first -= ended
         self._take_over_from(worlds)
 
     def snapshot(self) -> list[EpisodeHistory]:
         """The running episode of each world, from which `restore` goes on; its size is proportional to the number of actions."""
-        return [EpisodeHistory(episode.start, list(episode.actions)) for episode in self._episodes]
+        begun = enumerate(zip(self._starts, self._first, strict=True))
+        return [EpisodeHistory(start, [_of_worlds(action, world) for action in self._actions[first:]]) for world, (start, first) in begun]
 
     def restore(self, episodes: Sequence[EpisodeHistory], on_step: Callable[[Column], None] = lambda acting: None) -> Any:
         """Bring the worlds back to the moment of a snapshot, exactly: each episode begins again and repeats its actions.
@@ -361,15 +368,18 @@ class BatchSupervisor(_BatchPart, ABC):
         last = max(len(episode.actions) for episode in episodes)
         idle = next((episode.actions[0] for episode in episodes if episode.actions), None)
         self._forget()
+        self._actions = []
         for step in range(last + 1):
             self._begin_again([world for world, episode in enumerate(episodes) if step == last - len(episode.actions)], episodes)
             if step < last:
                 places = [step - last + len(episode.actions) for episode in episodes]
                 rows = [episode.actions[place] if place >= 0 else idle for place, episode in zip(places, episodes, strict=True)]
+                self._actions.append(_joined(rows))
                 with np.errstate(all="ignore"):
-                    self._advance(_joined(rows))
+                    self._advance(self._actions[-1])
                 on_step(np.array(places) >= 0)
-        self._episodes = [EpisodeHistory(episode.start, list(episode.actions)) for episode in episodes]
+        self._starts = [episode.start for episode in episodes]
+        self._first = np.array([last - len(episode.actions) for episode in episodes])
         return self.observations()
 
     def _begin_again(self, worlds: Sequence[int], episodes: Sequence[EpisodeHistory]) -> None:
@@ -580,16 +590,11 @@ def _copied(action: Any) -> Any:
     return {key: np.array(part) for key, part in action.items()} if isinstance(action, dict) else np.array(action)
 
 
-def _each_of(action: Any, count: int) -> Sequence[Any]:
-    """The action of each world."""
-    return [{key: part[world] for key, part in action.items()} for world in range(count)] if isinstance(action, dict) else action
-
-
 def _joined(rows: Sequence[Any]) -> Any:
     """The actions of all worlds from that of each."""
     return {key: np.array([row[key] for row in rows]) for key in rows[0]} if isinstance(rows[0], dict) else np.array(rows)
 
 
-def _rows_of_worlds(observations: Any, worlds: Column) -> Any:
-    """The rows of some worlds."""
-    return {key: part[worlds] for key, part in observations.items()} if isinstance(observations, dict) else observations[worlds]
+def _of_worlds(rows: Any, worlds: Any) -> Any:
+    """The rows of some worlds, or of one, in observations or actions."""
+    return {key: part[worlds] for key, part in rows.items()} if isinstance(rows, dict) else rows[worlds]

@@ -10,6 +10,7 @@ import math
 import operator
 from collections.abc import Callable, Iterable, Sequence
 from functools import reduce
+from itertools import repeat
 from math import pi, tau
 from typing import TYPE_CHECKING, Any
 
@@ -71,12 +72,17 @@ class ExactFunction:
         self._function, self._estimate = function, estimate
 
     def __call__(self, *columns: Any) -> Any:
-        arrays = np.broadcast_arrays(*columns)
+        shape = np.broadcast_shapes(*map(np.shape, columns))
+        lists = [self._numbers(column, shape) if np.ndim(column) else repeat(column) for column in columns]
         try:
-            values = [*map(self._function, *(array.ravel().tolist() for array in arrays))]
+            values = np.fromiter(map(self._function, *lists), float, count=math.prod(shape)) if shape else self._function(*columns)
         except (ValueError, ArithmeticError):
             return self._estimate(*columns)
-        return np.array(values).reshape(arrays[0].shape)
+        return np.reshape(values, shape)
+
+    @staticmethod
+    def _numbers(column: Any, shape: tuple[int, ...]) -> Any:
+        return (column if column.shape == shape else np.broadcast_to(column, shape)).ravel().tolist()
 
 
 def _length(*values: Any) -> Any:

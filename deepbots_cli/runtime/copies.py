@@ -10,17 +10,15 @@ generator that waits there, with its local variables, until every copy has acted
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 from gymnasium.vector.utils import batch_space
 
 from deepbots_cli.frames import Quaternion, Triple, add
-from deepbots_cli.port import ZERO_VECTOR, ContactReader, Engine, Part, Pusher
+from deepbots_cli.port import ZERO_VECTOR, Engine, EngineProxy, Part, Pusher
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import RobotCopies
 from deepbots_cli.program.world import WorldModel
@@ -30,8 +28,6 @@ from deepbots_cli.runtime.streams import NOTHING_CHOSEN, Drawn, Streams
 from deepbots_cli.runtime.supervisor import Info, Supervisor
 
 _END = object()
-_BODY_PARAMETERS = ("body", "robot", "part", "owner", "one", "other")
-"""Parameters of the port that hold a body, or a tuple that begins with one."""
 
 
 def copy_name(copies: RobotCopies, number: int) -> str:
@@ -56,31 +52,25 @@ def make_environment(
     return CopiesSupervisor(kind, scenario, copies, create(world_with_copies(scenario.world, copies)), render_mode)
 
 
-_BODY_ARGUMENTS = {
-    name: [place - 1 for place, parameter in enumerate(inspect.signature(method).parameters) if parameter in _BODY_PARAMETERS]
-    for name, method in vars(Engine).items()
-    if inspect.isfunction(method)
-}
-"""The arguments of each method of the port that hold bodies."""
-
-
-class EngineOfCopy:
+class EngineOfCopy(EngineProxy):
     """The engine as one copy sees it: the robot's name means this copy, and its place is relative to the copy's place in the row.
 
     Values of the world, and of bodies other than the robot, are set by the first copy alone. `reset` and `step` leave the world to
     the supervisor of all copies; `settling` is how many engine steps the world shall make after the reset.
-
-    Every other method of the port is called with the names exchanged. Its parameters tell which arguments are bodies, and a name that
-    begins with `set` tells that it sets a value; a method that is added to the port needs nothing here.
     """
 
     def __init__(self, engine: Engine, copies: RobotCopies, number: int) -> None:
-        self._engine = engine
-        self._robot = copies.robot
-        self._copy = copy_name(copies, number)
+        super().__init__(engine)
+        self._robot, self._copy = copies.robot, copy_name(copies, number)
         self._offset = copy_offset(copies, number)
         self._is_first = number == 1
         self.settling = 0
+
+    def body(self, name: str) -> str:
+        return self._copy if name == self._robot else name
+
+    def changing(self, body: str = "") -> Engine | None:
+        return self.engine if self._is_first or body == self._robot else None
 
     def reset(self) -> None:
         self.settling = 0
@@ -88,47 +78,14 @@ class EngineOfCopy:
     def step(self, substeps: int) -> None:
         self.settling = substeps
 
-    def close(self) -> None:
-        """Nothing: the supervisor of all copies closes the world."""
-
     def place(
         self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = ZERO_VECTOR, angular_velocity: Triple = ZERO_VECTOR
     ) -> None:
-        if body == self._robot:
-            self._engine.place(self._copy, add(position, self._offset), orientation, velocity, angular_velocity)
-        elif self._is_first:
-            self._engine.place(body, position, orientation, velocity, angular_velocity)
+        at = add(position, self._offset) if body == self._robot else position
+        super().place(body, at, orientation, velocity, angular_velocity)
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
-        if self._is_first or part[0] == self._robot:
-            return self._engine.pusher(self._exchanged(part), frame)
-        return lambda _force, _torque: None
-
-    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
-        seen = None if others is None else [self._exchanged(other) for other in others]
-        return self._engine.contact(self._exchanged(one), seen, ground=ground)
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("_"):  # pickle and copy ask for these before there is an engine
-            raise AttributeError(name)
-        found = getattr(self._engine, name)
-        return partial(self._call, name, found) if callable(found) else found
-
-    def _call(self, name: str, method: Callable[..., Any], *given: Any, **named: Any) -> Any:
-        """Call a method with the names exchanged; one that sets a value, only if this copy sets it."""
-        places = _BODY_ARGUMENTS.get(name, ())
-        own = tuple(self._exchanged(value) if place in places else value for place, value in enumerate(given))
-        own_named = {key: self._exchanged(value) if key in _BODY_PARAMETERS else value for key, value in named.items()}
-        is_setter = name.startswith("set") or name == "choose"
-        if is_setter and not self._is_first and own == given and own_named == named:  # nothing of this copy
-            return None
-        return method(*own, **own_named)
-
-    def _exchanged(self, value: Any) -> Any:
-        """A body, or a tuple that begins with one, with the copy in place of the robot."""
-        if isinstance(value, tuple):
-            return (*map(self._exchanged, value[:1]), *value[1:])
-        return self._copy if value == self._robot else value
+        return super().pusher(part, frame) if self.changing(part[0]) else lambda _force, _torque: None
 
 
 class CopiesSupervisor(Supervisor):
@@ -143,7 +100,7 @@ class CopiesSupervisor(Supervisor):
         self, kind: type[Supervisor], scenario: Program, copies: RobotCopies, engine: Engine, render_mode: str | None = None
     ) -> None:
         self._engines = [EngineOfCopy(engine, copies, number + 1) for number in range(copies.count)]
-        members = [kind(scenario, cast("Engine", view)) for view in self._engines]
+        members = [kind(scenario, view) for view in self._engines]
         self._streams_of_agents: Streams | None = None
         super().__init__(scenario, engine, render_mode)
         self._chosen: Mapping[str, Mapping[str, Any]] = {}

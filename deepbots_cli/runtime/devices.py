@@ -7,17 +7,18 @@ in the same blocks. A kind whose reader computes with columns as with numbers is
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.robots import NoiseModel, Sensor
-from deepbots_cli.runtime.readers import ON_COLUMNS
+from deepbots_cli.runtime.readers import ON_COLUMNS, projected_gravity
 from deepbots_cli.runtime.sensing import ROWS_PER_BLOCK, Device, Lookup, Normals, Site
 
 if TYPE_CHECKING:
+    from deepbots_cli.port import Engine
     from deepbots_cli.runtime.batch import BatchSupervisor
 
 Column = NDArray[Any]
@@ -131,10 +132,10 @@ class BatchDevice:
         self._ring: list[Any] = []
         reader = import_attribute(sensor.reader)
         self._read: Callable[[], Any] | None = None
-        varies = any(variation.what == "gravity" for variation in batch.scenario.reset.variations)
+        varies = reader is projected_gravity and any(variation.what == "gravity" for variation in batch.scenario.reset.variations)
         joins = sensor.beams is not None and sensor.beams.combined not in (None, "each")
         if reader in ON_COLUMNS and not (varies or joins):
-            made = reader(Site(batch.engine, robot, sensor, batch.scenario.world))
+            made = reader(Site(cast("Engine", batch.engine), robot, sensor, batch.scenario.world))
             if made.lookup is None:
                 made.restart(None)
             self._read = made.read
@@ -187,7 +188,10 @@ class BatchDevice:
 
     def _sampled(self, sampled: Column | None) -> Column:
         if self._read is not None:
-            values = np.stack([np.broadcast_to(column, len(self._devices)) for column in self._read()])
+            columns = self._read()
+            values = np.empty((len(columns), len(self._devices)), np.asarray(columns[0]).dtype)
+            for row, column in zip(values, columns, strict=True):
+                row[:] = column
         else:
             values = np.stack([self._single(world, sampled) for world in range(len(self._devices))], axis=1)
         if self._lookups is not None:

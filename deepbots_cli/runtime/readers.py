@@ -369,5 +369,7 @@ _PICTURES: dict[str, Callable[[CameraImage, CameraIntrinsics], Image]] = {
 }
 
 
-ON_COLUMNS = frozenset({positions, velocities, torques, position, velocity, angular_velocity, gyro, projected_gravity, ranging})
+ON_COLUMNS = frozenset(
+    {positions, velocities, torques, position, velocity, angular_velocity, gyro, projected_gravity, touch, force, ranging}
+)
 """Readers whose arithmetic is the same with a column of many worlds in the place of each number."""

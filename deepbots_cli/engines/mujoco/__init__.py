@@ -6,7 +6,7 @@ state.py       the state of a world and what is derived from it; the values that
 motors.py      motors and springs on joints, and forces on links
 surfaces.py    what touches what and how hard, distances between surfaces and along rays
 cameras.py     pictures, where OpenGL is
-batch.py       many worlds of one model, stepped by threads, read and written as columns
+batch.py       many worlds of one model, stepped by `mujoco.batch`, read and written as columns
 
 What MuJoCo leaves to its callers, and is settled here:
 

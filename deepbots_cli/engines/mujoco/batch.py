@@ -1,138 +1,405 @@
-"""Many worlds of one model, stepped by a pool of threads, which read and write as arrays over the worlds.
+"""Many worlds of one model on `mujoco.batch.Batch`: one call steps all of them, and they are read and written as columns.
 
-Each world is a `MuJoCoEngine` with a copy of the model, since motors and episodes change values of the model. MuJoCo releases
-the interpreter lock while it steps, so that threads use all cores. A vector is a sequence of columns, one number per world in each.
+Values that differ between worlds (gains of motors, masses, frictions) are rows of expanded model fields. Episodes begin in one engine of a
+single world, which all members share: it takes the world that is asked for, and what was done to that becomes the rows of the world. A
+vector is a sequence of columns, one number per world in each.
+
+Positions and velocities of links, rays and distances come from `Observer`, a second batch of the same model without contacts: after a
+step, those of MuJoCo belong to the state before its last substep. Gains that are written between two steps change the inertia of joints, so
+that a step cannot continue from positions that were computed before.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from copy import copy, deepcopy
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Collection, Iterable, Sequence
+from copy import copy
+from math import inf
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 import numpy as np
 from mujoco.batch import Batch
 
 from deepbots_cli import frames
-from deepbots_cli.engines.mujoco import cameras, motors
+from deepbots_cli.engines.mujoco import motors
+from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, _link
 from deepbots_cli.engines.mujoco.model import HIDDEN_GROUP, Body, ModelBuilder, finite_limit
-from deepbots_cli.engines.mujoco.state import MujocoWorld
-from deepbots_cli.engines.objects import Pool
+from deepbots_cli.engines.mujoco.state import FULL_STATE, VARIED_ARRAYS
+from deepbots_cli.engines.mujoco.surfaces import ELLIPSOID, MAX_CLEARANCE_M
+from deepbots_cli.errors import EngineError
+from deepbots_cli.port import SERVO_TIME, EngineProxy
+from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from deepbots_cli.frames import Frame, Triple
-    from deepbots_cli.port import MotorWriter, Part
+    from deepbots_cli.port import ContactReader, Engine, ForceReader, MotorWriter, P, Part, Pusher, R, TorqueReader
     from deepbots_cli.program.world import WorldModel
 
     Column = NDArray[Any]
 
+MOTOR_FIELDS = (
+    *("actuator_biasprm", "actuator_forcelimited", "actuator_forcerange"),
+    *("dof_armature", "dof_invweight0", "jnt_actfrclimited", "jnt_actfrcrange"),
+)
+"""The arrays of a model that motors write."""
+VARIED_FIELDS = ("opt.gravity", *VARIED_ARRAYS)
+OBSERVED_FIELDS = ("geom_group", "body_mass", "body_subtreemass")
+"""The arrays of a model that positions, velocities and rays depend on."""
+FORCE_SLOTS = 32
+"""Contacts of a link whose forces a batch adds up."""
+SEEN_GROUPS = [number != HIDDEN_GROUP for number in range(int(mj.mjNGROUP))]
 
-class BatchMember(MuJoCoEngine):
-    """One world of a batch, from a model that was compiled once for all of them."""
 
-    def __init__(self, world: WorldModel, model: Any, pools: Sequence[Pool[Body]]) -> None:
-        self._world = MujocoWorld(model, world, pools)
-        self._motors = motors.Motors(self._world)
-        self._contact_monitor = None
-        self._substep_callbacks = []
-        self._renderer = cameras.WorldRenderer(world, self._world)
-        self.capabilities = frozenset({"contacts", "mimic", "snapshot"})
-        self.reset()
+class Sensor(NamedTuple):
+    """What a batch adds to its model: whether `one` touches `other` (None: anything), in `slots` the forces, or the distance of two geoms.
+
+    Each is a number, of a link, and whether all that it carries belongs to it; or of a geom.
+    """
+
+    one: tuple[int, bool]
+    other: tuple[int, bool] | None
+    slots: int = 0
+    of_geoms: bool = False
+
+
+class BatchMember(EngineProxy):
+    """One world of a batch. What it reads and changes is that of the shared engine; the batch steps and drives it."""
+
+    def __init__(self, batch: MuJoCoBatch, index: int) -> None:
+        self._batch, self._index = batch, index
+        self.name, self.capabilities = batch.name, frozenset({"contacts", "mimic"})
+        self.substep_callbacks: list[Callable[[], object]] = []
+        self._pushers = 0
+
+    @property
+    def engine(self) -> Engine:  # type: ignore[override]
+        return self._batch.attach(self._index)
+
+    def bound(self, read: Callable[P, R]) -> Callable[P, R]:
+        attach, index = self._batch.attach, self._index
+
+        def read_attached(*given: P.args, **named: P.kwargs) -> R:
+            attach(index)
+            return read(*given, **named)
+
+        return read_attached
+
+    def changing(self, body: str = "") -> Engine:
+        return self._batch.attach(self._index, changes=True)
+
+    def reset(self) -> None:
+        self._batch.begin(self._index)
+
+    def step(self, substeps: int) -> None:
+        self._batch.step(substeps, np.arange(self._batch.count) == self._index)
+
+    def before_substep(self, act: Callable[[], object]) -> None:
+        self.substep_callbacks.append(act)
+        self._batch.acts_in_substeps = True
+
+    def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
+        pushes, index, pool = self._batch.pushes_of(self._pushers, frame), self._index, self._batch.single._pool(part[0])
+        self._pushers += 1
+        link = _link(pool.current, part[1])
+
+        def push(force: Triple, torque: Triple) -> None:
+            at = link if len(list(pool)) == 1 else _link(self._batch.attach(index)._pool(part[0]).current, part[1])
+            pushes.give(index, at, force, torque)
+
+        return push
+
+    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
+        read, index = self._batch.contact(one, others, ground=ground), self._index
+        return lambda: bool(read()[index])
+
+    def contact_force(self, one: Part) -> ForceReader:
+        read, index = self._batch.contact_force(one), self._index
+        return lambda: float(read()[index])
+
+    def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
+        read, index = self._batch.joint_torques(robot, joints), self._index
+        return lambda: cast("list[float]", read()[:, index].tolist())
+
+    def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
+        return self._batch.motor("velocity", robot, joints, max_torque, self._index).writer(self._index)
+
+    def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
+        return self._batch.motor("torque", robot, joints, max_torque, self._index).writer(self._index)
+
+    def position_motor(
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        stiffness: Sequence[float] | None,
+        damping: Sequence[float] | None,
+    ) -> MotorWriter:
+        return self._batch.motor("position", robot, joints, max_torque, self._index, stiffness, damping).writer(self._index)
 
 
 class MuJoCoBatch:
-    """`count` worlds of one model; `members` are the single engines, which a reset and rare readers use."""
+    """`count` worlds of one model; `members` are engines of one world each, which resets and rare readers use."""
 
     name = "mujoco"
 
     def __init__(self, world: WorldModel, count: int, threads: int | None = None) -> None:
         """Without `threads`, as many as there are cores for this process."""
-        built = ModelBuilder(world)
-        model = built.compile()
-        shared = {id(body.model): body.model for pool in built.pools for body in pool}
-        self.members = [BatchMember(world, copy(model), deepcopy(built.pools, dict(shared))) for _ in range(count)]
-        self._worlds = [member._world for member in self.members]
-        self._threads = threads or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else threads or os.cpu_count() or 1
-        self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="worlds") if min(self._threads, count) > 1 else None
-        self._gathered_arrays: dict[str, Column] = {}
-        self._views: dict[str, list[memoryview]] = {}
-        """Of arrays of all worlds, whose memory stays where it is."""
-        self._on_begin: list[Callable[[Sequence[int]], object]] = []
-        """Called with the worlds that have begun an episode."""
-        self._derivation: Callable[[MujocoWorld], object] | None = None
-        """Computes what readers need beside the state; `_last_derivation` is what was computed in all worlds since they changed."""
-        self._last_derivation: Callable[[MujocoWorld], object] | None = None
+        self._builder = ModelBuilder(world)
+        self.single = MuJoCoEngine(world, self._builder)
+        self._world = self.single._world
+        self.nominal = copy(self._world.model)
+        self.count = count
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        self._threads = min(threads or cores, count)
+        self._attached: int | None = None
+        """The world that the shared engine has."""
+        self._has_changes = False
+        """Whether the shared engine has changed it."""
+        self._memories = [self._world.memory()] * count
+        """Of each world, what the shared engine remembers besides the state: which bodies are there, colors, light."""
+        self._stale: set[int] = set()
+        """The worlds with new masses, until the first step computes what follows from them."""
+        self._weighed: dict[int, Column] = {}
+        """The worlds whose mean inertia is not that of the model, and the armature that it was computed with."""
+        self.acts_in_substeps = False
+        """Whether members do something in each substep."""
+        self._pushes: list[Pushes] = []
+        self.motors: dict[Any, BatchMotor] = {}
+        self.has_commands = False
+        """Whether members have commanded motors since the last step."""
         self.write_mask: Column | None = None
         """The worlds that motors are written in, as truth values; None for all."""
+        self._sensors: dict[Sensor, int] = {}
+        """Contact sensors, and the column of the readings of each in `touched`."""
+        self.touched: Column = np.zeros((count, 0), bool)
+        self._outputs: dict[str, Column] = {}
+        """The arrays that a step computes and that are read after it."""
+        self._columns: dict[Any, Column] = {}
+        self._observer = Observer(self, self._threads)
+        self.rows: dict[str, Column] = dict.fromkeys(MOTOR_FIELDS, np.zeros(0))
+        """The fields of the model that differ between worlds."""
+        if any(pool.pooled for pool in self._world.pools.values()):
+            self.rows |= dict.fromkeys(("body_gravcomp", "geom_group"), np.zeros(0))
+        self._pooled = [name for name in self.rows if name not in MOTOR_FIELDS]
+        self._batch: Any = None
+        self._build()
+        self.members = [BatchMember(self, index) for index in range(count)]
+
+    def _build(self) -> None:
+        """The batch of MuJoCo, anew where sensors were added."""
+        before, fields = self._batch, self.rows
+        self._batch = Batch(model_with_sensors(self._builder, self.nominal, self._sensors), self.count, self._threads)
+        self.state, model = self._batch.state, self._batch.model
+        self.ctrl, self.qpos, self.qvel = (self._batch.bind(name) for name in ("ctrl", "qpos", "qvel"))
+        self.rows = {name: self._batch.expand(name) for name in fields}
+        if before is None:
+            mj.mj_getState(self._world.model, self._world.data, self.state[0], FULL_STATE)
+            self.state[1:] = self.state[0]
+        else:
+            self.state[:] = before.state
+            for name, rows in fields.items():
+                self.rows[name][:] = rows
+            for index, armature in self._weighed.items():
+                self._weigh(index, armature)
+        if any(sensor.slots for sensor in self._sensors):
+            self._outputs.setdefault("sensordata", np.zeros(0))
+        for name in self._outputs:
+            self._outputs[name] = self._batch.bind(name)
+            self._outputs[name].flags.writeable = True  # a reset sets them to 0
+        self._built = len(self._sensors)
+        self._touch_columns = np.array([column for sensor, column in self._sensors.items() if not sensor.slots], int)
+        self._touch_places = np.array([model.sensor_adr[column] for column in self._touch_columns], int)
 
     @property
     def gravity(self) -> Triple:
-        """In the first world."""
-        return self.members[0].gravity
+        """Where no episode sets another."""
+        x, y, z = self.nominal.opt.gravity.tolist()
+        return x, y, z
 
     # Time
 
     def step(self, substeps: int, running: Column | None = None) -> None:
         """Let the worlds go on, or only those that are `running` (truth values)."""
-        chosen = self.members if running is None else [self.members[index] for index in np.flatnonzero(running)]
-        derives = self._derivation
-        waiting = iter(chosen)  # each thread takes the next world, so that none waits for one that was disturbed
+        if len(self._sensors) != self._built:
+            self._build()
+        self.take_commands()
+        goes = np.ones(self.count, bool) if running is None else running
+        for index in [index for index in self._stale if goes[index]]:
+            self._stale.discard(index)
+            self._weigh(index, self.rows["dof_armature"][index].copy())
+        if len(self._touch_columns):
+            self.touched[goes] = False
+        slow = goes & self.acts_in_substeps
+        for waits in (part.waits for parts in (self.motors.values(), self._pushes) for part in parts):
+            slow |= waits & goes
+        self._advance(goes & ~slow, substeps)
+        for _ in range(substeps if slow.any() else 0):
+            if self.acts_in_substeps:
+                for index in np.flatnonzero(slow).tolist():
+                    for act in self.members[index].substep_callbacks:
+                        act()
+                self.take_commands()
+            for motor in self.motors.values():
+                motor.renew(slow)
+            self._push(slow)
+            self._advance(slow, 1)
+        if self._pushes:
+            self._batch.bind("xfrc_applied")[slow] = 0.0
 
-        def advance(_: int) -> None:
-            for member in waiting:
-                member.step(substeps)
-                if derives is not None:
-                    derives(member._world)
+    def _advance(self, goes: Column, substeps: int) -> None:
+        ids = np.flatnonzero(goes)
+        if not len(ids):
+            return
+        self._forget()
+        if not len(self._touch_columns):
+            self._batch.step(None if len(ids) == self.count else ids, substeps)
+            return
+        before, warned = (self.state.copy(), self._batch.warning.copy()) if substeps > 1 else (None, None)
+        readings = self._batch.rollout(substeps, ids=ids, record=("sensordata",))["sensordata"]
+        self.touched[np.ix_(ids, self._touch_columns)] |= (readings[..., self._touch_places] > 0.0).any(axis=1)
+        if before is not None and (again := (self._batch.warning != warned).any(axis=1)).any():
+            self.state[again] = before[again]  # a roll-out ends with a warning, and a step goes on
+            for _ in range(substeps):
+                self._advance(again, 1)
 
-        if self._pool is None:
-            advance(0)
-        else:
-            for _ in self._pool.map(advance, range(self._threads)):
-                pass
-        self._gathered_arrays = {}
-        self._last_derivation = derives if running is None else None
+    def _push(self, goes: Column) -> None:
+        """Push links in the next substep."""
+        if not self._pushes:
+            return
+        applied = self._batch.bind("xfrc_applied")
+        applied[goes] = 0.0
+        for pushes in self._pushes:
+            worlds = np.flatnonzero(pushes.waits & goes)
+            if len(worlds):
+                links = pushes.links[worlds]
+                turned = self._observer.read("xquat")[worlds, links].T[[1, 2, 3, 0]]
+                applied[worlds, links] += pushes.take(worlds, turned, self.nominal.body_ipos[links].T)
 
-    def begin_episodes(self, worlds: Iterable[int]) -> None:
-        """Take notice of new episodes in these worlds."""
-        self._gathered_arrays = {}
-        self._last_derivation = None
-        for follower in self._on_begin:
-            follower(list(worlds))
+    def pushes_of(self, number: int, frame: Literal["world", "link"]) -> Pushes:
+        """Of the pushers that each member bound as the one of this number."""
+        if number == len(self._pushes):
+            self._pushes.append(Pushes(self.count, frame))
+        return self._pushes[number]
+
+    def take_commands(self) -> None:
+        """Let worlds have what members changed, and motors what members commanded."""
+        self._release()
+        if self.has_commands:
+            self.has_commands = False
+            for motor in self.motors.values():
+                motor.command()
+
+    def _forget(self) -> None:
+        """Worlds have changed."""
+        self._columns = {}
+        self._observer.is_current = False
 
     def non_finite_worlds(self) -> Column:
         """The numbers of the worlds whose state is not finite."""
-        return np.flatnonzero(~np.isfinite(self._state("qpos").sum(axis=0) + self._state("qvel").sum(axis=0)))
+        return np.flatnonzero(~np.isfinite(self.qpos.sum(axis=1) + self.qvel.sum(axis=1)))
 
     def close(self) -> None:
-        if self._pool is not None:
-            self._pool.shutdown()
-        for member in self.members:
-            member.close()
+        self.single.close()
+
+    # Episodes
+
+    def begin(self, index: int) -> None:
+        """Begin an episode of a world in the shared engine."""
+        self._release()
+        self.single.reset()
+        self._attached, self._has_changes = index, True
+        for name, rows in self.rows.items():
+            rows[index] = _field(self.nominal, name)
+        if self._weighed.pop(index, None) is not None:
+            self._batch.set_const([index])
+        self._stale.discard(index)
+        for motor in self.motors.values():
+            motor.begin(index)
+        for pushes in self._pushes:
+            pushes.begin(index)
+        self.touched[index] = False
+        for output in self._outputs.values():
+            output[index] = 0.0
+
+    def begin_episodes(self, worlds: Iterable[int]) -> None:
+        """Take over the episodes that the members of these worlds have begun."""
+        self.take_commands()
+        self._forget()
+
+    def attach(self, index: int, *, changes: bool = False) -> MuJoCoEngine:
+        """The shared engine with a world as it is now."""
+        if self._attached != index:
+            self._release()
+            world = self._world
+            mj.mj_setState(world.model, world.data, self.state[index], FULL_STATE)
+            for name, rows in self.rows.items():
+                if name not in MOTOR_FIELDS:
+                    _field(world.model, name)[...] = rows[index]
+            world.remember(self._memories[index])
+            self._attached = index
+        self._has_changes |= changes
+        return self.single
+
+    def _release(self) -> None:
+        """Let a world have what the shared engine has changed."""
+        index, world = self._attached, self._world
+        self._attached = None
+        if index is None or not self._has_changes:
+            return
+        self._has_changes = False
+        mj.mj_getState(world.model, world.data, self.state[index], FULL_STATE)
+        changed = self._pooled
+        if world.is_stale:
+            if world.settle_values():
+                self._stale.add(index)
+            for name in VARIED_FIELDS:
+                if name not in self.rows and not np.array_equal(_field(world.model, name), _field(self.nominal, name)):
+                    self.rows[name] = self._batch.expand(name)
+            changed = [name for name in self.rows if name not in MOTOR_FIELDS]
+        for name in changed:
+            self.rows[name][index] = _field(world.model, name)
+        self._memories[index] = world.memory()
+        self._forget()
+
+    def _weigh(self, index: int, armature: Column) -> None:
+        """Compute what follows from the masses of a world."""
+        now = self.rows["dof_armature"][index].copy()
+        self.rows["dof_armature"][index] = armature
+        self._batch.set_const([index])
+        self.rows |= {name: self._batch.expand(name) for name in VARIED_FIELDS if self._batch.expanded(name) is not None}
+        self.rows["dof_armature"][index] = now
+        self._weighed[index] = armature
 
     # What is read
 
-    def _state(self, name: str) -> Column:
-        """An array of MuJoCo's data, flat, with a column per world; made anew after each step, so that what was read stays."""
-        return self._gather(name, lambda world: getattr(world.data, name))
-
-    def _gather(self, name: str, part: Callable[[MujocoWorld], Column]) -> Column:
-        found = self._gathered_arrays.get(name)
+    def _column(self, key: Any, part: Callable[[], Column]) -> Column:
+        """A part of an array of all worlds with a column per world, made anew after each step, so that what was read stays."""
+        found = self._columns.get(key)
         if found is None:
-            parts = self._views.get(name)
-            if parts is None:
-                parts = self._views[name] = [part(world).reshape(-1).data.cast("B") for world in self._worlds]
-            # Joining bytes takes a sixth of `np.concatenate`. What results cannot be written, so nothing is changed by mistake.
-            found = self._gathered_arrays[name] = np.frombuffer(b"".join(parts)).reshape(len(parts), -1).T
+            rows = part()
+            found = self._columns[key] = np.ascontiguousarray(rows.reshape(self.count, -1).T)
+            found.flags.writeable = False
         return found
 
+    def _state(self, name: str) -> Column:
+        return self._column(name, lambda: self._batch.bind(name))
+
+    def _observed(self, name: str, number: int) -> Column:
+        """An array of a link, as the worlds stand now."""
+        return self._column((name, number), lambda: self._observer.read(name)[:, number])
+
+    def _output(self, name: str) -> None:
+        """Read an array after each step."""
+        if name not in self._outputs:
+            self._outputs[name] = self._batch.bind(name)
+            self._outputs[name].flags.writeable = True
+
     def joint_states(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:
-        first, numbers = self._worlds[0].model, list(self.members[0]._joints(robot, joints))
-        positions, velocities = (adr[numbers].tolist() for adr in (first.jnt_qposadr, first.jnt_dofadr))
+        numbers = list(self.single._joints(robot, joints))
+        positions, velocities = (adr[numbers].tolist() for adr in (self.nominal.jnt_qposadr, self.nominal.jnt_dofadr))
 
         def read() -> Any:
             qpos, qvel = self._state("qpos"), self._state("qvel")
@@ -142,12 +409,13 @@ class MuJoCoBatch:
 
     def joint_torques(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:
         """See `motors.Motors.torques`."""
-        first = self.members[0]
-        dofs = self._worlds[0].model.jnt_dofadr[list(first._joints(robot, joints))]
-        usual = first._motors.nominal_armature[dofs][:, None]
+        dofs = self.nominal.jnt_dofadr[list(self.single._joints(robot, joints))]
+        usual = self.nominal.dof_armature[dofs][:, None]
+        for name in ("qfrc_actuator", "qacc"):
+            self._output(name)
 
         def read() -> Any:
-            armature = self._gather("dof_armature", lambda world: world.model.dof_armature)
+            armature = self._column("dof_armature", lambda: self.rows["dof_armature"])
             return self._state("qfrc_actuator")[dofs] - (armature[dofs] - usual) * self._state("qacc")[dofs]
 
         return read
@@ -166,16 +434,17 @@ class MuJoCoBatch:
 
             return read_free
         if number == form.root_id and form.mocap_index >= 0:
-            places, turns, index = "mocap_pos", "mocap_quat", form.mocap_index
-        else:
-            places, turns, index = "xpos", "xquat", number
-            self._derivation = self._derivation or MujocoWorld.update_positions
+            at = form.mocap_index
+
+            def read_fixed() -> Any:
+                w, x, y, z = self._state("mocap_quat")[4 * at : 4 * at + 4]
+                return tuple(self._state("mocap_pos")[3 * at : 3 * at + 3]), (x, y, z, w)
+
+            return read_fixed
 
         def read() -> Any:
-            if places == "xpos":
-                self._require_derived()
-            w, x, y, z = self._gather(f"{turns}{index}", lambda world: getattr(world.data, turns)[index])
-            return tuple(self._gather(f"{places}{index}", lambda world: getattr(world.data, places)[index])), (x, y, z, w)
+            w, x, y, z = self._observed("xquat", number)
+            return tuple(self._observed("xpos", number)), (x, y, z, w)
 
         return read
 
@@ -192,15 +461,12 @@ class MuJoCoBatch:
                 return tuple(numbers[:3]), frames.rotate(pose()[1], tuple(numbers[3:]))
 
             return read_free
-        self._derivation = MujocoWorld.update_velocities
-        root = int(self._worlds[0].model.body_rootid[number])
+        root = int(self.nominal.body_rootid[number])
 
         def read() -> Any:
             """Of the link's origin, from the velocity of the body at the centre of mass of its tree, as `mj_objectVelocity` does."""
-            self._require_derived()
-            spatial = self._gather(f"cvel{number}", lambda world: world.data.cvel[number])
-            apart = self._gather(f"xpos{number}", lambda world: world.data.xpos[number])
-            apart = apart - self._gather(f"subtree_com{root}", lambda world: world.data.subtree_com[root])
+            spatial = self._observed("cvel", number)
+            apart = self._observed("xpos", number) - self._observed("subtree_com", root)
             angular = tuple(spatial[:3])
             return frames.subtract(tuple(spatial[3:]), frames.cross(tuple(apart), angular)), angular
 
@@ -210,79 +476,111 @@ class MuJoCoBatch:
         pose, velocity = self.pose(body, link), self.velocity(body, link)
         return lambda: (pose(), velocity())
 
+    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> Callable[[], Column]:
+        """See `Engine.contact`."""
+        links = self._links(one)
+        met: list[tuple[int, bool] | None] = [None]
+        if others is not None or not ground:
+            others = [(name, None) for name in self._world.pools if name not in (one[0], GROUND)] if others is None else others
+            met = [link for part in others for link in self._links(part)]
+        places = [self._sensor(Sensor(link, other)) for link in links for other in met]
+        return lambda: cast("Column", self.touched[:, places].any(axis=1))
+
+    def contact_force(self, one: Part) -> Callable[[], Column]:
+        """See `Engine.contact_force`. Forces are added up in the order of contacts."""
+        numbers = [self._sensor(Sensor(link, None, FORCE_SLOTS)) for link in self._links(one)]
+
+        def read() -> Column:
+            total = np.zeros(self.count)
+            for number in numbers if self._built == len(self._sensors) else ():
+                at = self._batch.model.sensor_adr[number]
+                found, forces = self._outputs["sensordata"][:, at : at + 4 * FORCE_SLOTS].reshape(self.count, FORCE_SLOTS, 4).T[:2]
+                if (found[0] > FORCE_SLOTS).any():
+                    where = f"world {int(found[0].argmax())}: a link of '{one[0]}' has {int(found[0].max())} contacts"
+                    raise EngineError(f"{where}, and a batch adds up the forces of {FORCE_SLOTS}; simplify its collision shapes")
+                for force, held in zip(forces, found > 0.0, strict=True):
+                    total += np.where(held, force, 0.0)
+            return total
+
+        return read
+
+    def clearance(self, one: Part, other: Part) -> Callable[[], Column]:
+        """See `Engine.clearance`."""
+        self.single.clearance(one, other)  # raises where there is none
+        pools = [self.single._pool(name) for name, _ in (one, other)]
+        if any(len(list(pool)) > 1 for pool in pools):
+            return self._read_each(lambda member: member.clearance(one, other))
+        near, far = (pool.current.geoms_of(part[1]) for pool, part in zip(pools, (one, other), strict=True))
+        kinds = self.nominal.geom_type
+        numbers = self._observer.distances([(a, b) for a in near for b in far if ELLIPSOID not in (kinds[a], kinds[b])])
+        absent = [place for place, pool in enumerate(self._world.pools.values()) if pool.pooled and pool in pools]
+
+        def read() -> Column:
+            apart = self._observer.read("sensordata")[:, numbers].min(axis=1, initial=MAX_CLEARANCE_M)
+            apart = np.where(apart < MAX_CLEARANCE_M, np.maximum(0.0, apart), inf)
+            for place in absent:
+                apart[[not pools[place][0] for pools, *_ in self._memories]] = inf
+            return apart
+
+        return read
+
     def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> Callable[[], Column]:
         """See `Engine.rays`."""
         place = self._form_and_link(*part)
         if place is None:
-            readers = [member.rays(part, rays, reach) for member in self.members]
-            return lambda: np.array([reader() for reader in readers]).T
+            return self._read_each(lambda member: member.rays(part, rays, reach))
         form, link = place
         starts = np.array([origin for origin, _ in rays])
         ways = np.array([frames.rotate(turned, (1.0, 0.0, 0.0)) for _, turned in rays])
-        seen = np.ones(6, np.uint8)
-        seen[HIDDEN_GROUP] = 0
-        # One call for the rays of all worlds takes a quarter of the time of a call for each ray. It has one thread: with
-        # two, the physics of FindBall took 3 to 30 us more CPU per world, probably since idle threads wait in a loop.
-        casts = Batch(self._worlds[0].model, len(self._worlds), 1)
-        casts_groups, casts_qpos = casts.expand("geom_group"), casts.bind("qpos")
-        at_rest = [(name, casts.bind(name)) for name in ("mocap_pos", "mocap_quat") if self._worlds[0].model.nmocap]
         own = form.geoms_of(None)
 
-        def begun(worlds: Sequence[int]) -> None:
-            """Bodies come and go with an episode, and a robot does not see itself."""
-            for world in worlds:
-                casts_groups[world] = self._worlds[world].model.geom_group
-                casts_groups[world, own] = HIDDEN_GROUP
-                for name, places in at_rest:
-                    places[world] = getattr(self._worlds[world].data, name)
-
-        begun(range(len(self._worlds)))
-        self._on_begin.append(begun)
-        self._derivation = self._derivation or MujocoWorld.update_positions
-
         def read() -> Column:
-            self._require_derived()
-            axes = self._gather(f"xmat{link}", lambda world: world.data.xmat[link]).T.reshape(-1, 3, 3)
-            position = self._gather(f"xpos{link}", lambda world: world.data.xpos[link]).T
-            casts_qpos[:] = self._state("qpos").T
-            free, _ = casts.ray(position[:, None] + starts @ axes.transpose(0, 2, 1), ways @ axes.transpose(0, 2, 1), seen)
+            """One call for the rays of all worlds takes a quarter of the time of a call for each ray."""
+            axes = self._observed("xmat", link).T.reshape(-1, 3, 3).transpose(0, 2, 1)
+            position = self._observed("xpos", link).T
+            free = self._observer.cast(position[:, None] + starts @ axes, ways @ axes, own)
             return np.where((free < 0.0) | (free > reach), reach, free).T
 
         return read
 
-    def _require_derived(self) -> None:
-        """Compute for all worlds what a step computes, since some began an episode."""
-        compute = self._derivation
-        if compute is not None and self._last_derivation is not compute:
-            for world in self._worlds:
-                compute(world)
-            self._last_derivation = compute
+    def _sensor(self, sensor: Sensor) -> int:
+        if sensor not in self._sensors:
+            self._sensors[sensor] = len(self._sensors)
+            self.touched = np.hstack([self.touched, np.zeros((self.count, 1), bool)])
+        return self._sensors[sensor]
+
+    def _links(self, part: Part) -> list[tuple[int, bool]]:
+        """The links of a part in all its forms, and whether what they carry belongs to it."""
+        pool = self.single._pool(part[0])
+        self.single._geoms(part)
+        if part[1] is None and part[0] != GROUND:
+            return [(body.root_id, True) for body in pool]
+        return [(_link(body, part[1]), False) for body in pool]
 
     def _form_and_link(self, body: str, link: str | None) -> tuple[Body, int] | None:
         """The form of a body and the number of the link; None where it has several forms."""
-        pool = self.members[0]._pool(body)
+        pool = self.single._pool(body)
         return (pool.current, _link(pool.current, link)) if len(list(pool)) == 1 else None
 
     def _read_each(self, bind: Callable[[BatchMember], Callable[[], Any]]) -> Callable[[], Any]:
+        """Of bodies that have several forms: what members read, in turn."""
         readers = [bind(member) for member in self.members]
 
         def read() -> Any:
-            first, second = zip(*(reader() for reader in readers), strict=True)
-            return np.array(first).T, np.array(second).T
+            values = [reader() for reader in readers]
+            if isinstance(values[0], tuple):
+                return tuple(np.array(part).T for part in zip(*values, strict=True))
+            return np.array(values).T
 
         return read
 
     # Motors
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        singles = [member._motor(robot, joints, max_torque) for member in self.members]
-        motor = BatchMotor(self, [single.velocity_writer() for single in singles], robot, joints)
-        return motor.tracking_writer(singles, [finite_limit(limit) for limit in max_torque])
+        return self.motor("velocity", robot, joints, max_torque)
 
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        motor = BatchMotor(self, [member.torque_motor(robot, joints, max_torque) for member in self.members], robot, joints)
-        limits = np.array([finite_limit(limit) for limit in max_torque])[:, None]
-        return motor.writer(lambda targets: np.minimum(np.maximum(targets, -limits), limits), holds=False)
+        return self.motor("torque", robot, joints, max_torque)
 
     def position_motor(
         self,
@@ -292,121 +590,276 @@ class MuJoCoBatch:
         stiffness: Sequence[float] | None,
         damping: Sequence[float] | None,
     ) -> MotorWriter:
-        """A spring is written as an array; a servo renews its gains in each engine step, and is written world by world."""
-        own = [member.position_motor(robot, joints, max_torque, stiffness, damping) for member in self.members]
-        motor = BatchMotor(self, own, robot, joints)
-        if stiffness is None:
-            return motor.each_writer
-        rates = np.array(stiffness)[:, None]
-        return motor.writer(lambda targets: rates * targets, holds=True)
+        return self.motor("position", robot, joints, max_torque, None, stiffness, damping)
+
+    def motor(
+        self,
+        kind: Literal["velocity", "torque", "position"],
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        world: int | None = None,
+        stiffness: Sequence[float] | None = None,
+        damping: Sequence[float] | None = None,
+    ) -> BatchMotor:
+        """The motor of this kind on the same joints of all worlds, with these limits and gains in one of them or in all."""
+        numbers = self.single._joints(robot, joints)
+        key = kind, numbers, stiffness is None
+        if key not in self.motors:
+            is_servo = kind == "position" and stiffness is None
+            rate = 1.0 / max(SERVO_TIME, self.nominal.opt.timestep) if is_servo else 0.0
+            made = TrackingMotor(self, numbers, rate) if kind == "velocity" or is_servo else BatchMotor(self, numbers)
+            for other in self.motors.values():
+                if not set(other.joints).isdisjoint(numbers):
+                    made.rivals.append(other)
+                    other.rivals.append(made)
+            self.motors[key] = made
+        self.motors[key].bind(slice(None) if world is None else slice(world, world + 1), max_torque, stiffness, damping)
+        return self.motors[key]
 
 
-class ArrayWriter:
-    """The same places of an array of MuJoCo in all worlds, written as columns.
+class Observer:
+    """Links, rays and distances of all worlds as they stand, from the same model without contacts and motors."""
 
-    Copying one view onto another takes 0.06 us per world, writing a row of an array into a slice of another 0.2 us.
-    """
+    def __init__(self, batch: MuJoCoBatch, threads: int) -> None:
+        self._batch, self._threads = batch, threads
+        self._distances: dict[Sensor, int] = {}
+        self._stage, self._built = int(mj.mjtStage.mjSTAGE_POS), -1
+        self._bound: set[str] = set()
+        self.is_current = False
 
-    def __init__(self, arrays: Sequence[Column], places: Any) -> None:
-        """`places` are a slice, or numbers that do not follow each other."""
-        parts = [places] if isinstance(places, slice) else [slice(place, place + 1) for place in places.tolist()]
-        self._values = np.zeros((len(arrays), len(arrays[0][places])))
-        own = [slice(None)] if isinstance(places, slice) else [slice(number, number + 1) for number in range(len(parts))]
-        self._pairs = [
-            [(array[part].data, row[mine].data) for part, mine in zip(parts, own, strict=True)]
-            for array, row in zip(arrays, self._values, strict=True)
-        ]
-        self._all = [pair for pairs in self._pairs for pair in pairs]
+    def distances(self, pairs: Sequence[tuple[int, int]]) -> list[int]:
+        """The places in `sensordata` of the distances between geoms."""
+        found = [Sensor((one, False), (other, False), of_geoms=True) for one, other in pairs]
+        return [self._distances.setdefault(sensor, len(self._distances)) for sensor in found]
 
-    def write(self, columns: Column, worlds: Column) -> None:
-        """Write a row per place and a column per world, in these worlds."""
-        self._values[:] = columns.T
-        whole = slice(None)
-        chosen = self._all if len(worlds) == len(self._pairs) else [pair for world in worlds.tolist() for pair in self._pairs[world]]
-        for target, source in chosen:
-            target[whole] = source
+    def read(self, name: str) -> Column:
+        """An array of MuJoCo's data, with a row per world."""
+        batch = self._batch
+        if self._built != len(self._distances):
+            model, off = model_with_sensors(batch._builder, batch.nominal, self._distances), mj.mjtDisableBit
+            model.opt.disableflags |= off.mjDSBL_CONTACT | off.mjDSBL_CONSTRAINT | off.mjDSBL_ACTUATION
+            self._views, self._built, self.is_current = Batch(model, batch.count, self._threads), len(self._distances), False
+        bound: Column = self._views.bind(name)
+        stage = int(mj.mjtStage.mjSTAGE_VEL) if name == "cvel" else self._stage
+        if not self.is_current or name not in self._bound or stage > self._stage:
+            self._bound.add(name)
+            self._stage = max(stage, self._stage)
+            self._views.state[:] = batch.state
+            for field in OBSERVED_FIELDS:
+                if field in batch.rows:
+                    self._views.expand(field)[:] = batch.rows[field]
+            self._views.forward(stage=self._stage)
+            self.is_current = True
+        return bound
+
+    def cast(self, starts: Column, ways: Column, own: Sequence[int]) -> Column:
+        """How far rays go, -1 where they meet nothing; geoms of `own` are not seen."""
+        groups = self._views.expand("geom_group")
+        kept = groups[:, own]
+        groups[:, own] = HIDDEN_GROUP
+        free: Column = self._views.ray(starts, ways, SEEN_GROUPS)[0]
+        groups[:, own] = kept
+        return free
+
+
+class Pushes:
+    """What the pushers of all worlds that were bound in the same place give for the next substep; see `motors.pusher`."""
+
+    def __init__(self, count: int, frame: Literal["world", "link"]) -> None:
+        self.waits, self.links, self._values = np.zeros(count, bool), np.zeros(count, int), np.zeros((count, 6))
+        self._frame = frame
+
+    def begin(self, world: int) -> None:
+        self.waits[world], self._values[world] = False, 0.0
+
+    def give(self, world: int, link: int, force: Triple, torque: Triple) -> None:
+        self.waits[world], self.links[world] = True, link
+        self._values[world] += (*force, *torque)
+
+    def take(self, worlds: Column, turned: Column, centre: Column) -> Column:
+        """Force and torque at the centre of mass in the axes of the world, a row per world."""
+        values, turn = self._values[worlds].T, tuple(turned)
+        self.waits[worlds], self._values[worlds] = False, 0.0
+        force, torque = tuple(values[:3]), tuple(values[3:])
+        if self._frame == "link":
+            force, torque = frames.rotate(turn, force), frames.rotate(turn, torque)
+        if centre.any():
+            torque = frames.add(torque, frames.cross(force, frames.rotate(turn, tuple(centre))))
+        return np.array((*force, *torque)).T
 
 
 class BatchMotor:
-    """A motor on the same joints of all worlds; in a new episode, its first command goes through the motor of the single world."""
+    """A motor on the same joints of all worlds, which exerts torques, or pulls as a spring where it has gains; see `motors.Motor`."""
 
-    def __init__(self, batch: MuJoCoBatch, own: Sequence[MotorWriter], robot: str, joints: Sequence[str]) -> None:
-        self._batch, self._own, self._count = batch, own, len(joints)
-        numbers = list(batch.members[0]._joints(robot, joints))
-        self._numbers = numbers
-        self._model = batch._worlds[0].model
-        self._acts = motors.array_index([batch.members[0]._motors.actuators[number] for number in numbers])
-        self._ctrl = ArrayWriter([world.data.ctrl for world in batch._worlds], self._acts)
-        self._let_go = np.zeros(len(own), bool)
-        self._holds = True
-        batch._on_begin.append(self.begin_episodes)
+    is_soft = False
 
-    def begin_episodes(self, worlds: Sequence[int]) -> None:
-        """These worlds have begun an episode; most motors hold their joints since then, and drive them."""
-        self._let_go[worlds] = not self._holds
+    def __init__(self, batch: MuJoCoBatch, joints: Sequence[int]) -> None:
+        self._batch, self._model = batch, batch.nominal
+        self.joints = tuple(joints)
+        count = batch.count
+        self.rivals: list[BatchMotor] = []
+        """Motors that drive some of its joints."""
+        self.waits = np.zeros(count, bool)
+        """The worlds in which gains are renewed in each substep."""
+        self.targets, self._given, self._limits, self._stiffness, self._damping = (np.zeros((count, len(joints))) for _ in range(5))
+        self._is_spring = False
+        self._is_active, self._is_given = np.zeros(count, bool), np.zeros(count, bool)
+        """The worlds whose joints it drives, and those whose members have commanded it since."""
+        self._acts = motors.array_index([batch.single._motors.actuators[joint] for joint in joints])
+        self._dofs = motors.array_index(self._model.jnt_dofadr[list(joints)].tolist())
+        self._joint_index = motors.array_index(self.joints)
 
-    def each_writer(self, targets: Any) -> None:
-        """Command each world by itself."""
-        self._write_own(self._columns(targets), self._written_worlds())
+    def bind(self, worlds: slice, limits: Sequence[float], stiffness: Sequence[float] | None, damping: Sequence[float] | None) -> None:
+        """Set the limits and gains of some worlds, which are in force from the next command."""
+        self._limits[worlds] = [finite_limit(limit) for limit in limits]
+        self._is_spring = stiffness is not None
+        self._stiffness[worlds], self._damping[worlds] = stiffness or 0.0, damping or 0.0
+        self._is_active[worlds] = False
 
-    def writer(self, control: Callable[[Column], Column], *, holds: bool) -> MotorWriter:
-        """A motor whose law stays the same: the numbers that its actuators get follow from the targets.
+    def writer(self, world: int) -> MotorWriter:
+        """The motor of one world; commands are carried out before the world goes on."""
 
-        One that does not hold its joints at the beginning takes them by the first command of an episode.
-        """
-        self._holds = holds
-        self._let_go[:] = not holds
-
-        def write(targets: Any) -> None:
-            columns, chosen = self._columns(targets), self._written_worlds()
-            if self._let_go.any():
-                self._write_own(columns, chosen[self._let_go[chosen]])
-            self._ctrl.write(control(columns), chosen)
-
-        return write
-
-    def tracking_writer(self, singles: Sequence[motors.Motor], limits: Sequence[float]) -> MotorWriter:
-        """A velocity motor; see `motors.Motor.velocity_writer`. Worlds in which gains are renewed are written by their `singles`."""
-        model, batch = self._model, self._batch
-        joint_motors, step = batch.members[0]._motors, model.opt.timestep
-        dofs = motors.array_index(model.jnt_dofadr[self._numbers].tolist())
-        usual, moved = joint_motors.nominal_armature[dofs][:, None], 1.0 / joint_motors.nominal_inverse_inertia[dofs][:, None]
-        bounds = np.array(limits)[:, None]
-        inertias = model.dof_M0[dofs][:, None]
-        stiffest, least = motors.MAX_GAIN * inertias / step, inertias / step
-        renewed = [member._motors.gain_updates for member in batch.members]
-        models = [world.model for world in batch._worlds]
-        biases = ArrayWriter([each.actuator_biasprm[:, 2] for each in models], self._acts)
-        armatures, inverses = (ArrayWriter([getattr(each, name) for each in models], dofs) for name in ("dof_armature", "dof_invweight0"))
-
-        def write(targets: Any) -> None:
-            columns, chosen = self._columns(targets), self._written_worlds()
-            off = np.maximum(np.abs(columns - batch._state("qvel")[dofs]), motors.MIN_ERROR_SHARE * np.abs(columns))
-            gains = np.where(off * stiffest > bounds, bounds / off, stiffest)
-            slow = (gains < least).any(axis=0).tolist()
-            one_by_one = [world for world in chosen.tolist() if slow[world] or renewed[world]]
-            if one_by_one:
-                for world in one_by_one:
-                    singles[world].gains = []  # the model may have others
-                self._write_own(columns, np.array(one_by_one))
-                chosen = np.setdiff1d(chosen, one_by_one)
-            added = gains * step
-            biases.write(-gains, chosen)
-            armatures.write(usual + added, chosen)
-            inverses.write(1.0 / (moved + added), chosen)
-            self._ctrl.write(gains * columns, chosen)
+        def write(targets: Sequence[float]) -> None:
+            if any(rival._is_given[world] for rival in self.rivals):
+                self._batch.take_commands()
+            self._given[world] = targets
+            self._is_given[world] = self._batch.has_commands = True
 
         return write
 
-    def _columns(self, targets: Any) -> Column:
-        """The targets as an array with a row per joint and a column per world."""
-        return np.stack([np.broadcast_to(np.asarray(target, float), len(self._own)) for target in targets])
-
-    def _written_worlds(self) -> Column:
+    def __call__(self, targets: Any) -> None:
+        """Command all worlds, or those of the batch's `write_mask`, with a column per joint."""
+        rows = np.empty(self.targets.shape)
+        for number, target in enumerate(targets):
+            rows[:, number] = target
         chosen = self._batch.write_mask
-        return np.arange(len(self._own)) if chosen is None else np.flatnonzero(chosen)
+        worlds: Any = slice(None) if chosen is None else np.flatnonzero(chosen)
+        self.write(rows[worlds], worlds)
 
-    def _write_own(self, columns: Column, worlds: Column) -> None:
-        for world, row in zip(worlds.tolist(), columns.T[worlds].tolist(), strict=True):
-            self._own[world](row)
-        self._let_go[worlds] = False
+    def command(self) -> None:
+        """Carry out the commands of members."""
+        if self._is_given.any():
+            worlds = np.flatnonzero(self._is_given)
+            self._is_given[:] = False
+            self.write(self._given[worlds], worlds)
+
+    def write(self, targets: Column, worlds: Any) -> None:
+        """Write targets with a row per world of these."""
+        if not self._is_active[worlds].all():
+            self._activate(np.arange(len(self._is_active))[worlds][~self._is_active[worlds]])
+        self.targets[worlds] = targets
+        limits = self._limits[worlds]
+        wanted = self._stiffness[worlds] * targets if self._is_spring else np.minimum(np.maximum(targets, -limits), limits)
+        self._batch.ctrl[_cells(worlds, self._acts)] = wanted
+
+    def _activate(self, worlds: Column) -> None:
+        """Drive the joints in these worlds; see `motors.Motor`."""
+        rows, limits, joints = self._batch.rows, self._limits[worlds], _cells(worlds, self._joint_index)
+        acts, dofs = _cells(worlds, self._acts), _cells(worlds, self._dofs)
+        bias = rows["actuator_biasprm"]
+        bias[acts] = 0.0
+        if self._is_spring:
+            bias[..., 1][acts], bias[..., 2][acts] = -self._stiffness[worlds], -self._damping[worlds]
+        rows["dof_armature"][dofs] = self._model.dof_armature[self._dofs]
+        rows["dof_invweight0"][dofs] = self._model.dof_invweight0[self._dofs]
+        rows["actuator_forcelimited"][acts], rows["jnt_actfrclimited"][joints] = not self.is_soft, self.is_soft
+        rows["actuator_forcerange"][acts] = rows["jnt_actfrcrange"][joints] = np.stack([-limits, limits], axis=-1)
+        for rival in self.rivals:
+            rival._is_active[worlds] = rival.waits[worlds] = False
+        self._is_active[worlds] = True
+
+    def renew(self, goes: Column) -> None:
+        """Renew gains in those worlds that go on, before a substep."""
+
+    def begin(self, world: int) -> None:
+        """An episode begins."""
+        self._is_active[world] = self._is_given[world] = self.waits[world] = False
+
+
+class TrackingMotor(BatchMotor):
+    """A velocity motor, or a servo with a `rate` (1/s); see `motors.Motor.velocity_writer`, which computes the same for one world."""
+
+    is_soft = True
+
+    def __init__(self, batch: MuJoCoBatch, joints: Sequence[int], rate: float) -> None:
+        super().__init__(batch, joints)
+        model, self._rate, self._step = self._model, rate, self._model.opt.timestep
+        self._places = motors.array_index(model.jnt_qposadr[list(joints)].tolist())
+        inertias = model.dof_M0[self._dofs]
+        self._usual, self._moved = model.dof_armature[self._dofs], 1.0 / model.dof_invweight0[self._dofs]
+        self._stiffest = motors.MAX_GAIN * inertias / self._step
+        self._least = 4.0 * inertias * rate if rate else inertias / self._step
+        self._gains = np.full(self.targets.shape, np.nan)
+
+    def _activate(self, worlds: Column) -> None:
+        super()._activate(worlds)
+        self._gains[worlds] = np.nan
+
+    def write(self, targets: Column, worlds: Any) -> None:
+        if not self._is_active[worlds].all():
+            self._activate(np.arange(len(self._is_active))[worlds][~self._is_active[worlds]])
+        self.targets[worlds] = targets
+        self.waits[worlds] = (self._aim(worlds) < self._least).any(axis=1)
+
+    def renew(self, goes: Column) -> None:
+        worlds = np.flatnonzero(self.waits & goes)
+        if len(worlds):
+            self._aim(worlds)
+
+    def _aim(self, worlds: Any) -> Column:
+        """The gains, which are renewed."""
+        batch, targets, limits = self._batch, self.targets[worlds], self._limits[worlds]
+        wanted = (targets - batch.qpos[_cells(worlds, self._places)]) * self._rate if self._rate else targets
+        off = np.maximum(np.abs(wanted - batch.qvel[_cells(worlds, self._dofs)]), motors.MIN_ERROR_SHARE * np.abs(wanted))
+        near = limits / self._stiffest
+        gains = np.where(off > near, limits / np.maximum(off, near), self._stiffest)
+        batch.ctrl[_cells(worlds, self._acts)] = gains * (self._rate or 1.0) * targets
+        found: Column = gains
+        renewed = (gains != self._gains[worlds]).any(axis=1)
+        if not renewed.all():
+            worlds, gains = np.arange(batch.count)[worlds][renewed], gains[renewed]
+        added, bias = gains * self._step, batch.rows["actuator_biasprm"]
+        self._gains[worlds] = gains
+        bias[..., 2][_cells(worlds, self._acts)] = -gains
+        if self._rate:
+            bias[..., 1][_cells(worlds, self._acts)] = -gains * self._rate
+        batch.rows["dof_armature"][_cells(worlds, self._dofs)] = self._usual + added
+        batch.rows["dof_invweight0"][_cells(worlds, self._dofs)] = 1.0 / (self._moved + added)
+        return found
+
+
+def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Sensor]) -> Any:
+    """A copy of the compiled model with sensors."""
+    if not sensors:
+        return copy(model)
+    spec, kinds = builder._spec.copy(), mj.mjtObj
+    for sensor in sensors:
+        subjects = {}
+        for (kind, name), found in zip((("objtype", "objname"), ("reftype", "refname")), (sensor.one, sensor.other), strict=True):
+            if found is not None:
+                number, whole = found
+                link = kinds.mjOBJ_XBODY if whole else kinds.mjOBJ_BODY
+                subjects[kind] = kinds.mjOBJ_GEOM if sensor.of_geoms else link
+                subjects[name] = (model.geom if sensor.of_geoms else model.body)(number).name
+        if sensor.of_geoms:
+            spec.add_sensor(type=mj.mjtSensor.mjSENS_GEOMDIST, cutoff=MAX_CLEARANCE_M, **subjects)
+        else:
+            fields = (mj.mjtConDataField.mjCONDATA_FOUND, mj.mjtConDataField.mjCONDATA_FORCE)[: 2 if sensor.slots else 1]
+            added = spec.add_sensor(type=mj.mjtSensor.mjSENS_CONTACT, **subjects)
+            added.intprm[:3] = sum(1 << int(field) for field in fields), 0, sensor.slots or 1
+    made = spec.compile()
+    made.opt.disableflags, made.opt.jacobian, made.stat.meaninertia = model.opt.disableflags, model.opt.jacobian, model.stat.meaninertia
+    for name in ("dof_simplenum", *VARIED_ARRAYS):
+        getattr(made, name)[:] = getattr(model, name)
+    return made
+
+
+def _cells(worlds: Any, places: Any) -> tuple[Any, Any]:
+    """The index of these places in the rows of these worlds, each a slice or an array."""
+    return (worlds, places) if isinstance(worlds, slice) or isinstance(places, slice) else (worlds[:, None], places)
+
+
+def _field(model: Any, name: str) -> Column:
+    """The array of a model that a batch calls by this name."""
+    return cast("Column", model.opt.gravity if name == "opt.gravity" else getattr(model, name))

@@ -48,8 +48,8 @@ class MuJoCoEngine:
 
     name = "mujoco"
 
-    def __init__(self, world: WorldModel) -> None:
-        built = ModelBuilder(world)
+    def __init__(self, world: WorldModel, builder: ModelBuilder | None = None) -> None:
+        built = builder or ModelBuilder(world)
         self._world = MujocoWorld(built.compile(), world, built.pools)
         self._motors = motors.Motors(self._world)
         self._contact_monitor: surfaces.ContactMonitor | None = None

@@ -155,6 +155,14 @@ class MujocoWorld:
             self._update_contact_pairs()
         self._mass_changed = self._friction_changed = self.is_stale = False
 
+    def settle_values(self) -> bool:
+        """Compute what follows from all values that were set but masses; whether masses were set."""
+        if self._friction_changed:
+            self._update_contact_pairs()
+        has_new_masses = self._mass_changed
+        self._mass_changed = self._friction_changed = self.is_stale = False
+        return has_new_masses
+
     def require_open(self) -> MujocoWorld:
         if self.closed:
             raise EngineError("this world was closed")
@@ -168,8 +176,7 @@ class MujocoWorld:
             self.update_constants()
         state = np.empty(mj.mj_stateSize(self.model, FULL_STATE))
         mj.mj_getState(self.model, self.data, state, FULL_STATE)
-        pools = tuple((pool.present, pool.current) for pool in self.pools.values())
-        memory = (pools, dict(self.colours), self.light, *(read() for read, _ in self.state_accessors))
+        memory = (*self.memory(), *(read() for read, _ in self.state_accessors))
         data = self.data
         return WorldSnapshot(state, *self._copy_values(), data.qfrc_actuator.copy(), data.qacc.copy(), self.forces, memory)
 
@@ -179,14 +186,21 @@ class MujocoWorld:
         mj.mj_resetData(self.model, self.data)
         mj.mj_setState(self.model, self.data, snapshot.state, FULL_STATE)
         self.data.qfrc_actuator[:], self.data.qacc[:] = snapshot.actuator_forces, snapshot.accelerations
-        pools, colours, light, *memories = snapshot.memory
-        self.colours, self.light = dict(colours), light
+        for (_, write), memory in zip(self.state_accessors, snapshot.memory[3:], strict=False):
+            write(memory)
+        self.remember(snapshot.memory[:3])
+        self._forces, self.has_pushes = snapshot.forces, bool(self.data.xfrc_applied.any())
+
+    def memory(self) -> tuple[Any, ...]:
+        """What an episode has besides its state and the values of the model: which bodies are there in which form, colors, light."""
+        return tuple((pool.present, pool.current) for pool in self.pools.values()), dict(self.colours), self.light
+
+    def remember(self, memory: tuple[Any, ...]) -> None:
+        pools, colours, self.light = memory
+        self.colours = dict(colours)
         for pool, (present, chosen) in zip(self.pools.values(), pools, strict=True):
             pool.present, pool.current = present, chosen
-        for (_, write), memory in zip(self.state_accessors, memories, strict=False):
-            write(memory)
         self.invalidate()
-        self._forces, self.has_pushes = snapshot.forces, bool(self.data.xfrc_applied.any())
 
     def _copy_values(self) -> tuple[list[Any], float]:
         return [np.array(values) for values in self._varied_arrays], self.model.stat.meaninertia
