@@ -255,17 +255,23 @@ def _print_first_draws(supervisor: SupervisorPrinter, printer: Printer) -> None:
             printer.assign(f"self.{name}", printer.value(value.scalar))
 
 
-def print_redraws(supervisor: SupervisorPrinter, printer: Printer) -> None:
-    """Print the values that a step draws or computes anew before it sends messages; the step is not counted yet."""
+def print_redraws(supervisor: SupervisorPrinter, printer: Printer) -> list[tuple[str, str]]:
+    """Print the values that a step draws or computes anew before it sends messages; the step is not counted yet.
+
+    Returns:
+        For each value the attribute with the time of its next draw, or "" where every step has one, and the attribute that holds it.
+    """
     changing: set[str] = set()
+    found = []
     for entry in supervisor.scenario.parameters:
         if entry.redraw is not None or _reads(entry.scalars, changing):
             changing.add(entry.name)
             drawn = f"{supervisor.parameter(entry.name)} = {printer.vector_or_number(entry.components, entry.scalars)}"
-            _print_when_due(supervisor, printer, entry, entry.name, drawn)
+            found.append((_print_when_due(supervisor, printer, entry, entry.name, drawn), supervisor.parameter(entry.name)))
     for name, value in _settings(supervisor):
         if value.period is not None if value.redraw else _reads(value.scalars, changing):
-            _print_when_due(supervisor, printer, value, name, f"self.{name} = {printer.value(value.scalar)}")
+            found.append((_print_when_due(supervisor, printer, value, name, f"self.{name} = {printer.value(value.scalar)}"), ""))
+    return found
 
 
 def print_draws_of_message(printer: Printer, channel: str, route: Route) -> None:
@@ -288,7 +294,7 @@ def _of_message(value: Expression) -> bool:
 
 def _due(supervisor: SupervisorPrinter, name: str) -> str:
     """The attribute that holds the time (s) from which a value is drawn again."""
-    return f"self.{supervisor.names('due', name)}"
+    return supervisor.attribute(supervisor.names("due", name))
 
 
 def _print_first_period(supervisor: SupervisorPrinter, printer: Printer, value: Expression, name: str) -> None:
@@ -296,13 +302,15 @@ def _print_first_period(supervisor: SupervisorPrinter, printer: Printer, value: 
         printer.line(f"{_due(supervisor, name)} = {printer.value(value.period)} - {_ROUNDING!r}")
 
 
-def _print_when_due(supervisor: SupervisorPrinter, printer: Printer, value: Expression, name: str, line: str) -> None:
+def _print_when_due(supervisor: SupervisorPrinter, printer: Printer, value: Expression, name: str, line: str) -> str:
+    """The attribute with the time of the next draw, if there is one."""
     if value.period is None:
         printer.line(line)
-        return
+        return ""
     due = _due(supervisor, name)
     printer.line(f"if {supervisor.tick} * {supervisor.scenario.world.timestep!r} >= {due}:")
     printer.lines += indent([f"{due} += {printer.value(value.period)}", line])
+    return due
 
 
 def _reads(values: Iterable[Scalar], names: set[str]) -> bool:
@@ -317,12 +325,12 @@ def _print_stds(supervisor: SupervisorPrinter, printer: Printer) -> None:
     noisy += [("goal.achieved", scenario.agent.goal.achieved.noise)] if scenario.agent.goal else []
     for stream, noise in noisy:
         if noise is not None and not all(isinstance(std, Const) for std in noise.std.scalars):
-            printer.assign(std_attribute(printer, stream), printer.vector_or_number(noise.std.scalars[1:], noise.std.scalars))
+            printer.assign(std_attribute(supervisor, stream), printer.vector_or_number(noise.std.scalars[1:], noise.std.scalars))
 
 
-def std_attribute(printer: Printer, stream: str) -> str:
+def std_attribute(supervisor: SupervisorPrinter, stream: str) -> str:
     """The attribute that holds the standard deviations of a noise which every episode draws."""
-    return f"self.{printer.names.identifier(f'std {stream}', 'std', stream.partition('.')[2])}"
+    return supervisor.attribute(supervisor.names.identifier(f"std {stream}", "std", stream.partition(".")[2]))
 
 
 # Disturbances

@@ -31,7 +31,7 @@ _CLASS = """
 class {name}({base}):
     {doc}
 
-    {keeps}
+    {state}
     def bind(self, engine: Any) -> None:
         {binding}
 
@@ -76,7 +76,7 @@ class ControllerPrinter:
             _CLASS,
             name=controller_name(robot),
             base="RobotController" if on_floats else "BatchController",
-            keeps=[f"KEEPS = {quoted_tuple(kept)}", ""] if kept else [],
+            state=[f"STATE = {quoted_tuple(kept)}", ""] if kept else [],
             doc=docstring(f"Robot `{robot.name}`: emits {emitted}; drives {driven}."),
             binding=[*self.readers.bind_lines(), *devices, *memories, *writers] or ["pass"],
             methods=methods,

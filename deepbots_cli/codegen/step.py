@@ -8,7 +8,6 @@ then terminations, truncation, rewards (which see the endings), then the observa
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 
 from deepbots_cli.codegen.printer import Printer, outer_states
@@ -69,7 +68,7 @@ def observe_method(supervisor: SupervisorPrinter) -> list[str]:
     printer.insert_readers_here()
     for entry in supervisor.scenario.signals:
         printer.assign(supervisor.local(entry.name), printer.vector_or_number(entry.components, entry.scalars), entry.text)
-        _print_noise(printer, supervisor.local(entry.name), entry.components, f"augment.{entry.name}", entry.noise)
+        _print_noise(supervisor, printer, supervisor.local(entry.name), entry.components, f"augment.{entry.name}", entry.noise)
     _print_goal(supervisor, printer)
     _print_endings(supervisor, printer)
     _print_rewards(supervisor, printer)
@@ -131,7 +130,7 @@ def _print_acting(supervisor: SupervisorPrinter, printer: Printer) -> None:
     printer.add_in_place("self.step_count", "1")
     if supervisor.has_history:
         printer.line("self.next_frame()")
-    printer.lines += [f"{local} = self.last_{local}" for local in supervisor.sent_names()]
+    printer.lines += [f"{local} = {supervisor.attribute(f'last_{local}')}" for local in supervisor.sent_names()]
     printer.insert_readers_here()
     for robot in supervisor.scenario.robots:
         channel = f"self.to_{robot.name}"
@@ -188,25 +187,19 @@ def _print_decoding(supervisor: SupervisorPrinter, printer: Printer) -> None:
             printer.lines += with_comment(f"{name} = {f'[{code} for a in {name}]' if interval.components else code}", said)
 
 
-def redraw_method(supervisor: SupervisorPrinter) -> list[str]:
-    """For a batch: the method that draws anew in one world what is due; nothing where nothing ever is."""
-    printer = supervisor.of_one_world().printer()
-    print_redraws(supervisor.of_one_world(), printer)
-    if not printer.lines:
-        return []
-    doc = '"""Draw anew what is due in a single world."""'
-    return ["@staticmethod", *block("def _redraw(self: Any) -> None:", printer.method_lines([doc]))]
-
-
 def _print_redrawing(supervisor: SupervisorPrinter, printer: Printer) -> None:
-    lines = redraw_method(supervisor)
-    if not lines:
+    """For a batch: single worlds draw anew what is due, and the columns of what changed are taken over."""
+    one = supervisor.of_one_world()
+    drawing = one.printer()
+    if not (changes := print_redraws(one, drawing)):
         return
-    kept = dict.fromkeys(name for line in lines for name in re.findall(r"self\.((?:parameter|due)_\w+) (?:=|\+=) ", line))
-    periods = [name for name in kept if name.startswith("due_")]
-    always = any(re.match(r"    self\.", line) for line in lines)
-    due = f"self.{periods[0]}" if len(periods) == 1 else f"minimum({', '.join(f'self.{name}' for name in periods)})"
-    condition = "True" if always else f"{supervisor.tick} * {supervisor.scenario.world.timestep!r} >= {due}"
+    supervisor.per_world["_redraw"] = drawing.method_lines(['"""Draw anew what is due in a single world."""'])
+    periods = [due for due, _ in changes]
+    due = periods[0] if len(periods) == 1 else f"minimum({', '.join(periods)})"
+    condition = f"{supervisor.tick} * {supervisor.scenario.world.timestep!r} >= {due}" if all(periods) else "True"
+    kept = [attribute.removeprefix("self.") for change in changes for attribute in change if attribute]
+    for name in kept:
+        supervisor.attribute(name)
     printer.line(f"self.redraw({', '.join([condition, 'self._redraw', *map(quoted, kept)])})")
 
 
@@ -217,9 +210,9 @@ def _print_draws_of_message(supervisor: SupervisorPrinter, printer: Printer, cha
     drawing = supervisor.of_one_world().printer()
     print_draws_of_message(drawing, channel, route)
     for line in drawing.lines:
-        name = line.partition(" = ")[0].removeprefix("self.").replace(".", "_")
-        supervisor.of_message[f"_draw_{name}"] = line
-        printer.line(f"self.redraw(True, self._draw_{name})")
+        name = f"_draw_{line.partition(' = ')[0].removeprefix('self.').replace('.', '_')}"
+        supervisor.per_world[name] = ['"""Draw a value for the next message of a single world."""', line]
+        printer.line(f"self.redraw(True, self.{name})")
 
 
 # Messages
@@ -292,18 +285,20 @@ def _print_goal(supervisor: SupervisorPrinter, printer: Printer) -> None:
     given = printer.vector(goal.achieved.scalars)
     if goal.achieved.noise is not None:
         printer.assign(achieved, given if goal.components else printer.value(goal.achieved.scalar))
-        _print_noise(printer, achieved, goal.components, "goal.achieved", goal.achieved.noise)
+        _print_noise(supervisor, printer, achieved, goal.components, "goal.achieved", goal.achieved.noise)
         given = achieved if goal.components else f"({achieved},)"
     targets = (achieved, desired) if goal.components else (f"({achieved},)", f"({desired},)")
     printer.line(f"{', '.join(targets)} = self.set_goal_observation({given}, {printer.vector(goal.targets)})")
     printer.assign(supervisor.local("goal_reached"), printer.value(goal.reached))
 
 
-def _print_noise(printer: Printer, local: str, components: Sequence[str], stream: str, noise: Noise | None) -> None:
+def _print_noise(
+    supervisor: SupervisorPrinter, printer: Printer, local: str, components: Sequence[str], stream: str, noise: Noise | None
+) -> None:
     """Add noise to the local variable of a value; nothing where the scenario gives it none."""
     if noise is None:
         return
-    std = _std(printer, stream, noise)
+    std = _std(supervisor, printer, stream, noise)
     said = printer.names.identifier(f"noise {stream}", "noise", local)
     count = max(1, len(components))
     drawn = "self.streams.normals" if printer.on_floats else "self.normals"
@@ -319,12 +314,12 @@ def _print_noise(printer: Printer, local: str, components: Sequence[str], stream
     printer.line(f"{local} = [a + {scale} * b for a, b{', c' if many else ''} in zip({columns})]")
 
 
-def _std(printer: Printer, stream: str, noise: Noise) -> str:
+def _std(supervisor: SupervisorPrinter, printer: Printer, stream: str, noise: Noise) -> str:
     """The standard deviation, one number or one per component: constants, or what the episode drew."""
     scalars = noise.std.scalars
     if all(isinstance(value, Const) for value in scalars):
         return printer.vector_or_number(scalars[1:], scalars)
-    return std_attribute(printer, stream)
+    return std_attribute(supervisor, stream)
 
 
 # Endings
@@ -487,7 +482,7 @@ def _observed(supervisor: SupervisorPrinter, printer: Printer, entry: Observatio
     if entry.noise is not None:
         local = printer.names.identifier(f"seen {entry.name}", "seen", entry.name)
         printer.assign(local, code)
-        _print_noise(printer, local, components, f"observation.{entry.name}", entry.noise)
+        _print_noise(supervisor, printer, local, components, f"observation.{entry.name}", entry.noise)
         code = local
     if len({*entry.low}) == len({*entry.high}) == 1:
         function = "scale" if entry.clip else "scale_freely"

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import re
-
 from deepbots_cli.codegen.printer import Printer
 from deepbots_cli.codegen.reset import begin_method, bind_pushes, needs_arrangement, push_methods
 from deepbots_cli.codegen.robot import controller_name
-from deepbots_cli.codegen.step import advance_methods, bind_foreign, choice_tables, observe_method, redraw_method, start_method
+from deepbots_cli.codegen.step import advance_methods, bind_foreign, choice_tables, observe_method, start_method
 from deepbots_cli.codegen.text import (
     Constants,
     block,
@@ -60,7 +58,7 @@ class {name}Batch(BatchSupervisor):
     {doc}
 
     {tables}
-    {kept}
+    {state}
     def bind(self, engine: Any) -> None:
         {binding}
 
@@ -72,13 +70,9 @@ def print_batch_supervisor(scenario: Program, constants: Constants) -> list[str]
     """The lines of the class for a batch: what happens in each step; episodes begin in the single worlds."""
     supervisor = SupervisorPrinter(scenario, constants, BATCH)
     observing, acting = observe_method(supervisor), advance_methods(supervisor)
-    methods = [*acting, *observing, *redraw_method(supervisor)]
-    for name, line in supervisor.of_message.items():
-        doc = '"""Draw a value for the next message of a single world."""'
-        methods += ["@staticmethod", *block(f"def {name}(self: Any) -> None:", [doc, line])]
-    lines = [line for line in methods if "@staticmethod" not in line]
-    read = re.findall(r"""(?:self\.|")((?:parameter|due|std|last|present)_\w+)""", "\n".join(lines))
-    kept = tuple(dict.fromkeys(read))
+    methods = [*acting, *observing]
+    for name, lines in supervisor.per_world.items():
+        methods += ["@staticmethod", *block(f"def {name}(self: Any) -> None:", lines)]
     tables = choice_tables(supervisor)
     terms = tuple(term.name for term in supervisor.agent.reward)
     return fill_template(
@@ -86,7 +80,7 @@ def print_batch_supervisor(scenario: Program, constants: Constants) -> list[str]
         name=class_name(scenario.name),
         doc=docstring(scenario.summary or scenario.name),
         tables=[*tables, ""] if tables else [],
-        kept=[*([f"KEEPS = {quoted_tuple(kept)}"] if kept else []), f"TERMS = {quoted_tuple(terms)}", ""],
+        state=[*([f"STATE = {quoted_tuple(tuple(supervisor.state))}"] if supervisor.state else []), f"TERMS = {quoted_tuple(terms)}", ""],
         binding=_bind_batch(supervisor),
         methods=methods,
     )

@@ -216,8 +216,10 @@ class SupervisorPrinter:
     def __init__(self, scenario: Program, constants: Constants, target: Target = SCALAR) -> None:
         self.scenario, self.agent = scenario, scenario.agent
         self.target = target
-        self.of_message: dict[str, str] = {}
-        """For a batch: statements that draw a value for each message, by the method that holds each."""
+        self.per_world: dict[str, list[str]] = {}
+        """For a batch: the lines of methods that draw values in a single world, by their names."""
+        self.state: dict[str, None] = {}
+        """The attributes that hold drawn values and values of the timestep before, in order of first use."""
         self.names = Names()
         self.constants = constants
         self.memories: dict[str, str] = {}
@@ -299,11 +301,16 @@ class SupervisorPrinter:
 
     def parameter(self, name: str) -> str:
         """The attribute that holds a drawn parameter."""
-        return f"self.{self.names.identifier(f'parameter {name}', 'parameter', name)}"
+        return self.attribute(self.names.identifier(f"parameter {name}", "parameter", name))
 
     def present_count(self, group: str) -> str:
         """The attribute that counts the copies of a group that take part in the episode."""
-        return f"self.{self.names.identifier(f'present {group}', 'present', group)}"
+        return self.attribute(self.names.identifier(f"present {group}", "present", group))
+
+    def attribute(self, name: str) -> str:
+        """The code of an attribute that holds a drawn value, or a value of the timestep before."""
+        self.state[name] = None
+        return f"self.{name}"
 
     def sent_names(self) -> list[str]:
         """Locals of one timestep that the messages of the next one contain: signals, and fields that robots sent."""
@@ -322,7 +329,7 @@ class SupervisorPrinter:
 
     def storing_statements(self) -> list[str]:
         """Statements that store the values of this timestep that the next message to a robot, or a script, uses."""
-        return [f"self.last_{local} = {local}" for local in map(self.local, self.stored_names())]
+        return [f"{self.attribute(f'last_{local}')} = {local}" for local in map(self.local, self.stored_names())]
 
     def _results(self) -> list[str]:
         """The results of a timestep: signals, and the fields that robots sent."""
@@ -338,7 +345,7 @@ class SupervisorPrinter:
     def of_one_world(self) -> SupervisorPrinter:
         """The printer of code that runs in one world."""
         other = copy(self)
-        other.target = SCALAR
+        other.target, other.state = SCALAR, {}
         return other
 
     def printer(self) -> Printer:

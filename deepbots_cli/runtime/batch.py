@@ -145,7 +145,10 @@ class BatchLossyChannel:
 
 
 class _BatchPart:
-    """Base of supervisor and controllers: they take over from objects of the single worlds by the names of their attributes."""
+    """Base of supervisor and controllers, which take over from those of the single worlds when an episode begins."""
+
+    STATE: tuple[str, ...] = ()
+    """The attributes whose columns begin with what the single worlds have: drawn values, and values that the next step reads."""
 
     def __init__(self, singles: Sequence[Any], batch: BatchSupervisor) -> None:
         self._singles, self._batch = singles, batch
@@ -189,8 +192,6 @@ def columns_array(value: Any, count: int) -> Column:
 class BatchController(_BatchPart):
     """Base of the generated controllers of robots."""
 
-    KEEPS: tuple[str, ...] = ()
-
     def __init__(self, singles: Sequence[RobotController], batch: BatchSupervisor) -> None:
         super().__init__(singles, batch)
         self.devices: dict[str, BatchDevice] = {}
@@ -211,14 +212,12 @@ class BatchController(_BatchPart):
         """Sample what is sampled once per tick."""
 
     def begin(self, worlds: Sequence[int]) -> None:
-        self._take_over(worlds, self.KEEPS)
+        self._take_over(worlds, self.STATE)
 
 
 class BatchSupervisor(_BatchPart, ABC):
     """Base of the generated supervisors of a batch, over single supervisors and the engine that holds all of their worlds."""
 
-    KEEPS: tuple[str, ...] = ()
-    """Attributes of the single supervisors that a new episode gives: drawn parameters, and what is told in the next step."""
     TERMS: tuple[str, ...] = ()
 
     def __init__(self, singles: Sequence[Supervisor], engine: BatchEngine) -> None:
@@ -395,7 +394,7 @@ class BatchSupervisor(_BatchPart, ABC):
         """Go on from what single worlds have begun with."""
         worlds = list(worlds)
         self.engine.begin_episodes(worlds)
-        self._take_over(worlds, self.KEEPS)
+        self._take_over(worlds, self.STATE)
         for controller in self.controllers.values():
             controller.begin(worlds)
         for world in worlds:

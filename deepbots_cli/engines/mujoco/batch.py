@@ -204,11 +204,8 @@ class MuJoCoBatch:
                 self.rows[name][:] = rows
             for index, armature in self._weighed.items():
                 self._weigh(index, armature)
-        if any(sensor.slots for sensor in self._sensors):
-            self._outputs.setdefault("sensordata", np.zeros(0))
-        for name in self._outputs:
-            self._outputs[name] = self._batch.bind(name)
-            self._outputs[name].flags.writeable = True  # a reset sets them to 0
+        for name in [*self._outputs, *["sensordata" for sensor in self._sensors if sensor.slots][:1]]:
+            self._output(name)
         self._built = len(self._sensors)
         self._touch_columns = np.array([column for sensor, column in self._sensors.items() if not sensor.slots], int)
         self._touch_places = np.array([model.sensor_adr[column] for column in self._touch_columns], int)
@@ -232,22 +229,21 @@ class MuJoCoBatch:
             self._weigh(index, self.rows["dof_armature"][index].copy())
         if len(self._touch_columns):
             self.touched[goes] = False
-        slow = goes & self.acts_in_substeps
-        for waits in (part.waits for parts in (self.motors.values(), self._pushes) for part in parts):
-            slow |= waits & goes
-        self._advance(goes & ~slow, substeps)
-        for _ in range(substeps if slow.any() else 0):
+        waits = [part.waits for parts in (self.motors.values(), self._pushes) for part in parts]
+        if not (self.acts_in_substeps or any(one.any() for one in waits)):
+            self._advance(goes, substeps)
+            return
+        for _ in range(substeps):
             if self.acts_in_substeps:
-                for index in np.flatnonzero(slow).tolist():
+                for index in np.flatnonzero(goes).tolist():
                     for act in self.members[index].substep_callbacks:
                         act()
                 self.take_commands()
             for motor in self.motors.values():
-                motor.renew(slow)
-            self._push(slow)
-            self._advance(slow, 1)
-        if self._pushes:
-            self._batch.bind("xfrc_applied")[slow] = 0.0
+                motor.renew(goes)
+            applied = self._push(goes)
+            self._advance(goes, 1)
+            applied[goes] = 0.0
 
     def _advance(self, goes: Column, substeps: int) -> None:
         ids = np.flatnonzero(goes)
@@ -265,18 +261,16 @@ class MuJoCoBatch:
             for _ in range(substeps):
                 self._advance(again, 1)
 
-    def _push(self, goes: Column) -> None:
-        """Push links in the next substep."""
-        if not self._pushes:
-            return
-        applied = self._batch.bind("xfrc_applied")
-        applied[goes] = 0.0
+    def _push(self, goes: Column) -> Column:
+        """Push links in the next substep; what is applied to them."""
+        applied: Column = self._batch.bind("xfrc_applied")
         for pushes in self._pushes:
             worlds = np.flatnonzero(pushes.waits & goes)
             if len(worlds):
                 links = pushes.links[worlds]
                 turned = self._observer.read("xquat")[worlds, links].T[[1, 2, 3, 0]]
                 applied[worlds, links] += pushes.take(worlds, turned, self.nominal.body_ipos[links].T)
+        return applied
 
     def pushes_of(self, number: int, frame: Literal["world", "link"]) -> Pushes:
         """Of the pushers that each member bound as the one of this number."""
@@ -392,10 +386,9 @@ class MuJoCoBatch:
         return self._column((name, number), lambda: self._observer.read(name)[:, number])
 
     def _output(self, name: str) -> None:
-        """Read an array after each step."""
-        if name not in self._outputs:
-            self._outputs[name] = self._batch.bind(name)
-            self._outputs[name].flags.writeable = True
+        """Read an array after each step; a reset sets it to 0."""
+        self._outputs[name] = self._batch.bind(name)
+        self._outputs[name].flags.writeable = True
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:
         numbers = list(self.single._joints(robot, joints))
@@ -433,14 +426,6 @@ class MuJoCoBatch:
                 return (px, py, pz), (x, y, z, w)
 
             return read_free
-        if number == form.root_id and form.mocap_index >= 0:
-            at = form.mocap_index
-
-            def read_fixed() -> Any:
-                w, x, y, z = self._state("mocap_quat")[4 * at : 4 * at + 4]
-                return tuple(self._state("mocap_pos")[3 * at : 3 * at + 3]), (x, y, z, w)
-
-            return read_fixed
 
         def read() -> Any:
             w, x, y, z = self._observed("xquat", number)
@@ -702,7 +687,7 @@ class BatchMotor:
         """Motors that drive some of its joints."""
         self.waits = np.zeros(count, bool)
         """The worlds in which gains are renewed in each substep."""
-        self.targets, self._given, self._limits, self._stiffness, self._damping = (np.zeros((count, len(joints))) for _ in range(5))
+        self._given, self._targets, self._limits, self._stiffness, self._damping = (np.zeros((count, len(joints))) for _ in range(5))
         self._is_spring = False
         self._is_active, self._is_given = np.zeros(count, bool), np.zeros(count, bool)
         """The worlds whose joints it drives, and those whose members have commanded it since."""
@@ -730,7 +715,7 @@ class BatchMotor:
 
     def __call__(self, targets: Any) -> None:
         """Command all worlds, or those of the batch's `write_mask`, with a column per joint."""
-        rows = np.empty(self.targets.shape)
+        rows = np.empty(self._targets.shape)
         for number, target in enumerate(targets):
             rows[:, number] = target
         chosen = self._batch.write_mask
@@ -748,7 +733,9 @@ class BatchMotor:
         """Write targets with a row per world of these."""
         if not self._is_active[worlds].all():
             self._activate(np.arange(len(self._is_active))[worlds][~self._is_active[worlds]])
-        self.targets[worlds] = targets
+        self._exert(targets, worlds)
+
+    def _exert(self, targets: Column, worlds: Any) -> None:
         limits = self._limits[worlds]
         wanted = self._stiffness[worlds] * targets if self._is_spring else np.minimum(np.maximum(targets, -limits), limits)
         self._batch.ctrl[_cells(worlds, self._acts)] = wanted
@@ -790,16 +777,14 @@ class TrackingMotor(BatchMotor):
         self._usual, self._moved = model.dof_armature[self._dofs], 1.0 / model.dof_invweight0[self._dofs]
         self._stiffest = motors.MAX_GAIN * inertias / self._step
         self._least = 4.0 * inertias * rate if rate else inertias / self._step
-        self._gains = np.full(self.targets.shape, np.nan)
+        self._gains = np.full(self._targets.shape, np.nan)
 
     def _activate(self, worlds: Column) -> None:
         super()._activate(worlds)
         self._gains[worlds] = np.nan
 
-    def write(self, targets: Column, worlds: Any) -> None:
-        if not self._is_active[worlds].all():
-            self._activate(np.arange(len(self._is_active))[worlds][~self._is_active[worlds]])
-        self.targets[worlds] = targets
+    def _exert(self, targets: Column, worlds: Any) -> None:
+        self._targets[worlds] = targets
         self.waits[worlds] = (self._aim(worlds) < self._least).any(axis=1)
 
     def renew(self, goes: Column) -> None:
@@ -809,7 +794,7 @@ class TrackingMotor(BatchMotor):
 
     def _aim(self, worlds: Any) -> Column:
         """The gains, which are renewed."""
-        batch, targets, limits = self._batch, self.targets[worlds], self._limits[worlds]
+        batch, targets, limits = self._batch, self._targets[worlds], self._limits[worlds]
         wanted = (targets - batch.qpos[_cells(worlds, self._places)]) * self._rate if self._rate else targets
         off = np.maximum(np.abs(wanted - batch.qvel[_cells(worlds, self._dofs)]), motors.MIN_ERROR_SHARE * np.abs(wanted))
         near = limits / self._stiffest
