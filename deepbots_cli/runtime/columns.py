@@ -72,17 +72,18 @@ class ExactFunction:
         self._function, self._estimate = function, estimate
 
     def __call__(self, *columns: Any) -> Any:
-        shape = np.broadcast_shapes(*map(np.shape, columns))
-        lists = [self._numbers(column, shape) if np.ndim(column) else repeat(column) for column in columns]
+        shapes = {np.shape(column) for column in columns if np.ndim(column)}
+        shape = next(iter(shapes)) if len(shapes) == 1 else np.broadcast_shapes(*shapes)
+        lists = [np.broadcast_to(one, shape).ravel().tolist() if np.ndim(one) and len(shapes) > 1 else _numbers(one) for one in columns]
         try:
-            values = np.fromiter(map(self._function, *lists), float, count=math.prod(shape)) if shape else self._function(*columns)
+            values: Any = np.fromiter(map(self._function, *lists), float, count=math.prod(shape)) if shape else self._function(*columns)
         except (ValueError, ArithmeticError):
             return self._estimate(*columns)
-        return np.reshape(values, shape)
+        return values.reshape(shape) if len(shape) > 1 else values
 
-    @staticmethod
-    def _numbers(column: Any, shape: tuple[int, ...]) -> Any:
-        return (column if column.shape == shape else np.broadcast_to(column, shape)).ravel().tolist()
+
+def _numbers(column: Any) -> Iterable[float]:
+    return column.ravel().tolist() if isinstance(column, np.ndarray) else repeat(column)
 
 
 def _length(*values: Any) -> Any:

@@ -241,3 +241,50 @@ def test_the_episodes_of_a_batch_go_on_after_options_that_were_refused(cartpole:
         with pytest.raises(UsageError, match="drawn from"):
             batch.reset(options={"reset.set.cart.pole_hinge": 9.0})
         assert not np.array_equal(batch.step(np.zeros(2, int))[0], first)
+
+
+def test_masses_frictions_and_gains_are_those_of_each_world() -> None:
+    compiled = api.compile(PUSHED)
+    with closing(deepbots_cli.make_vec(compiled, 2)) as batch:
+        batch.reset(seed=[5, 6])
+        action = np.zeros(batch.action_space.shape, np.float32)
+        batch.step(action)
+        rows = batch.batch.engine.rows
+        for world, seed in enumerate((5, 6)):
+            with closing(api.make(compiled, engine="mujoco")) as single:
+                single.reset(seed=seed)
+                single.step(action[world])
+                for name in ("body_mass", "body_inertia", "dof_M0", "pair_friction", "actuator_biasprm", "actuator_forcerange"):
+                    np.testing.assert_array_equal(rows[name][world], getattr(single.engine._world.model, name), err_msg=name)
+        for name in ("body_mass", "dof_M0", "pair_friction", "actuator_biasprm", "actuator_forcerange"):
+            assert (rows[name][0] != rows[name][1]).any(), name
+
+
+def test_a_push_moves_its_world_alone(batch: BatchEnvironment, single: Supervisor) -> None:
+    single.reset(seed=1)
+    for engine in (batch.batch.singles[1].engine, single.engine):
+        engine.pusher(("cart", "tip"), "link")((0.4, 0.1, 0.0), (0.0, 0.02, 0.0))
+    for step in range(2):
+        observations, *_ = batch.step(np.zeros(4, int))
+        assert_same(observations[1], single.step(0)[0])
+    single.reset(seed=2)
+    single.step(0)
+    assert_same(observations[2], single.step(0)[0])
+
+
+def test_a_world_that_becomes_unstable_in_a_step_is_named_and_leaves_the_others_alone() -> None:
+    """FindBall asks for contacts in each substep."""
+    compiled = api.compile("find_ball")
+    with closing(deepbots_cli.make_vec(compiled, 3)) as batch, closing(api.make(compiled, engine="mujoco")) as single:
+        batch.reset(seed=7)
+        at, turned = batch.batch.singles[1].engine.pose("epuck")()
+        batch.batch.singles[1].engine.place("epuck", at, turned, velocity=(1e200, 0.0, 0.0))
+        actions = np.zeros((3, 2), np.float32)
+        with pytest.warns(RuntimeWarning, match=r"world 1 \(seed 8\) was no longer finite in step 1 and begins anew"):
+            observations, rewards, _, truncated, infos = batch.step(actions)
+        assert truncated.tolist() == [False, True, False]
+        assert rewards[1] == 0.0
+        assert infos["final_info"]["ended_by"][1] == "not_finite"
+        for world in (0, 2):
+            single.reset(seed=7 + world)
+            assert_same(observations[world], single.step(actions[world])[0])
