@@ -264,7 +264,7 @@ def test_a_push_moves_its_world_alone(batch: BatchEnvironment, single: Superviso
     single.reset(seed=1)
     for engine in (batch.batch.singles[1].engine, single.engine):
         engine.pusher(("cart", "tip"), "link")((0.4, 0.1, 0.0), (0.0, 0.02, 0.0))
-    for step in range(2):
+    for _ in range(2):
         observations, *_ = batch.step(np.zeros(4, int))
         assert_same(observations[1], single.step(0)[0])
     single.reset(seed=2)

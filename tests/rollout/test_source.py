@@ -47,7 +47,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "robot.urdf").write_text("<robot/>")
     (tmp_path / "broken" / "run.json").write_text("{")
     (tmp_path / "run" / "run.json").write_text("{")
-    (tmp_path / "run" / "models" / "policy" / "best.zip").write_bytes(b"")
+    (tmp_path / "run" / "models" / "agent" / "best.zip").write_bytes(b"")
     (tmp_path / "group" / "group.json").write_text("{}")
     shutil.copy(Source.open("cartpole").path, tmp_path / "cart.yaml")
     return tmp_path
