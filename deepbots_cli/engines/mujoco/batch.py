@@ -158,7 +158,8 @@ class MuJoCoBatch:
         """The world that the shared engine has."""
         self._has_changes = False
         """Whether the shared engine has changed it."""
-        self._memories = [self._world.memory()] * count
+        self._remembered = self._world.memory()
+        self._memories = [self._remembered] * count
         """Of each world, what the shared engine remembers besides the state: which bodies are there, colors, light."""
         self._stale: set[int] = set()
         """The worlds with new masses, until the first step computes what follows from them."""
@@ -332,7 +333,10 @@ class MuJoCoBatch:
             for name, rows in self.rows.items():
                 if name not in MOTOR_FIELDS:
                     _field(world.model, name)[...] = rows[index]
-            world.remember(self._memories[index])
+            if self._memories[index] != self._remembered:
+                self._remembered = self._memories[index]
+                world.remember(self._remembered)
+            world.invalidate()
             self._attached = index
         self._has_changes |= changes
         return self.single
@@ -355,7 +359,7 @@ class MuJoCoBatch:
             changed = [name for name in self.rows if name not in MOTOR_FIELDS]
         for name in changed:
             self.rows[name][index] = _field(world.model, name)
-        self._memories[index] = world.memory()
+        self._memories[index] = self._remembered = world.memory()
         self._forget()
 
     def _weigh(self, index: int, armature: Column) -> None:

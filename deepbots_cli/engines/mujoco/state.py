@@ -189,6 +189,7 @@ class MujocoWorld:
         for (_, write), memory in zip(self.state_accessors, snapshot.memory[3:], strict=False):
             write(memory)
         self.remember(snapshot.memory[:3])
+        self.invalidate()
         self._forces, self.has_pushes = snapshot.forces, bool(self.data.xfrc_applied.any())
 
     def memory(self) -> tuple[Any, ...]:
@@ -200,7 +201,6 @@ class MujocoWorld:
         self.colours = dict(colours)
         for pool, (present, chosen) in zip(self.pools.values(), pools, strict=True):
             pool.present, pool.current = present, chosen
-        self.invalidate()
 
     def _copy_values(self) -> tuple[list[Any], float]:
         return [np.array(values) for values in self._varied_arrays], self.model.stat.meaninertia
