@@ -451,13 +451,9 @@ class BatchEngine(Protocol):
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> Callable[[Any], object]: ...
 
     def position_motor(
-        self,
-        robot: str,
-        joints: Sequence[str],
-        max_torque: Sequence[float],
-        stiffness: Sequence[float] | None,
-        damping: Sequence[float] | None,
-    ) -> Callable[[Any], object]: ...
+        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], *gains: Sequence[float] | None
+    ) -> Callable[[Any], object]:
+        """`gains` are stiffness and damping."""
 
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> Callable[[Any], object]: ...
 

@@ -164,20 +164,19 @@ class _BatchPart:
         self._loaded.append(made)
         return made
 
-    def _take_over(self, worlds: Sequence[int], names: Sequence[str]) -> None:
+    def take_over(self, worlds: Sequence[int]) -> None:
         """Begin with what the single worlds began with."""
         for part in self._loaded:
             for world in worlds:
                 part.load(world)
+        self._take_columns(worlds, self.STATE)
+
+    def _take_columns(self, worlds: Sequence[int], names: Sequence[str]) -> None:
+        count = len(self._singles)
         for name in names:
             values = np.array([getattr(self._singles[world], name) for world in worlds]).T
-            column = getattr(self, name, None)
-            if column is None or len(worlds) == len(self._singles):
-                column = np.zeros((*values.shape[:-1], len(self._singles)), values.dtype)
-            elif not isinstance(column, np.ndarray) or not column.flags.writeable or column.shape[-1:] != (len(self._singles),):
-                column = columns_array(column, len(self._singles))
-            else:
-                column = column.copy()
+            is_new = len(worlds) == count or not hasattr(self, name)
+            column = np.zeros((*values.shape[:-1], count), values.dtype) if is_new else columns_array(getattr(self, name), count)
             column[..., worlds] = values
             setattr(self, name, column)
 
@@ -210,9 +209,6 @@ class BatchController(_BatchPart):
 
     def observe(self) -> None:
         """Sample what is sampled once per tick."""
-
-    def begin(self, worlds: Sequence[int]) -> None:
-        self._take_over(worlds, self.STATE)
 
 
 class BatchSupervisor(_BatchPart, ABC):
@@ -394,20 +390,16 @@ class BatchSupervisor(_BatchPart, ABC):
         """Go on from what single worlds have begun with."""
         worlds = list(worlds)
         self.engine.begin_episodes(worlds)
-        self._take_over(worlds, self.STATE)
-        for controller in self.controllers.values():
-            controller.begin(worlds)
+        for part in (self, *self.controllers.values()):
+            part.take_over(worlds)
         for world in worlds:
             single = self.singles[world]
             self.frames[:, :, world] = single.frames[: self.frames.shape[1]]
             self.goal[:, world] = single.goal
-        for name in ("step_count", "timestep_count", "reward", "previous_reward", "episode_return"):
+        counts, ends = ("step_count", "timestep_count", "reward", "previous_reward", "episode_return"), ("terminated", "truncated")
+        for name in (*counts, *ends, "is_success", "_lost"):
             column = columns_array(getattr(self, name), self.count)
             column[worlds] = 0
-            setattr(self, name, column)
-        for name in ("terminated", "truncated", "is_success", "_lost"):
-            column = getattr(self, name).copy()
-            column[worlds] = False
             setattr(self, name, column)
 
     def _give_up(self) -> None:
@@ -481,7 +473,10 @@ class BatchSupervisor(_BatchPart, ABC):
 
     def add(self, column: Any, more: Any) -> Any:
         """The sum, in worlds whose episode goes on."""
-        return column + more if self.running is None else np.where(self.running, column + more, column)
+        return self._where_running(column + more, column)
+
+    def _where_running(self, now: Any, before: Any) -> Any:
+        return now if self.running is None else np.where(self.running, now, before)
 
     def ticks(self, count: int) -> Iterator[None]:
         """The ticks of a step; only worlds whose episode goes on take part in the later ones."""
@@ -504,11 +499,7 @@ class BatchSupervisor(_BatchPart, ABC):
             single.step_count, single.timestep_count = int(self.step_count[world]), int(self.timestep_count[world])
             draw(single)
         if worlds:
-            values = {name: np.array([getattr(self.singles[world], name) for world in worlds]).T for name in names}
-            for name, value in values.items():
-                column = getattr(self, name).copy()
-                column[..., worlds] = value
-                setattr(self, name, column)
+            self._take_columns(worlds, names)
 
     def normals(self, stream: str, count: int) -> Column:
         """Standard normal numbers, a column each."""
@@ -546,28 +537,24 @@ class BatchSupervisor(_BatchPart, ABC):
         middle, half = (high + low) / 2, (high - low) / 2
         values = np.stack([np.broadcast_to(value, self.count) for value in (*achieved, *desired)])
         seen = np.clip((values - middle) / half, -1.0, 1.0).astype(np.float32)
-        self.goal = seen if self.running is None else np.where(self.running, seen, self.goal)
+        self.goal = self._where_running(seen, self.goal)
         meant = middle + half * self.goal.astype(float)
         return meant[: self._size], meant[self._size :]
 
     def _terminate(self, endings: dict[str, Any], *, success: Any = False) -> None:
         """End the task where one of the endings holds, of which the first counts."""
-        holds = {name: np.broadcast_to(column, self.count) for name, column in endings.items()}
-        if self.running is not None:
-            holds = {name: np.where(self.running, column, self._holds.get(name, False)) for name, column in holds.items()}
-        self._holds = holds
-        ended = np.logical_or.reduce(list(holds.values()))
-        if self.running is None:
-            self.terminated, self.is_success = ended, ended & success
-        else:
-            self.is_success = np.where(self.running, ended & success, self.is_success)
-            self.terminated = np.where(self.running, ended, self.terminated)
+        self._holds = {
+            name: self._where_running(np.broadcast_to(column, self.count), self._holds.get(name, False)) for name, column in endings.items()
+        }
+        ended = np.logical_or.reduce(list(self._holds.values()))
+        self.is_success = self._where_running(ended & success, self.is_success)
+        self.terminated = self._where_running(ended, self.terminated)
 
     def _truncate(self, limit: str, reached: Any, success: Any = None) -> None:
         """Cut the episodes short that reached a limit."""
         self._limit = limit
         now = reached & ~self.terminated
-        self.truncated = now if self.running is None else np.where(self.running, now, self.truncated)
+        self.truncated = self._where_running(now, self.truncated)
         if success is not None:
             self.is_success = np.where(now, success, self.is_success)
 

@@ -185,6 +185,7 @@ class MuJoCoBatch:
         if any(pool.pooled for pool in self._world.pools.values()):
             self.rows |= dict.fromkeys(("body_gravcomp", "geom_group"), np.zeros(0))
         self._pooled = [name for name in self.rows if name not in MOTOR_FIELDS]
+        self._usual_rows = frozenset(self.rows)
         self._batch: Any = None
         self._build()
         self.members = [BatchMember(self, index) for index in range(count)]
@@ -330,12 +331,13 @@ class MuJoCoBatch:
             self._release()
             world = self._world
             mj.mj_setState(world.model, world.data, self.state[index], FULL_STATE)
-            for name, rows in self.rows.items():
-                if name not in MOTOR_FIELDS:
-                    _field(world.model, name)[...] = rows[index]
+            changed = [*(self.rows.keys() - self._usual_rows)] if len(self.rows) > len(self._usual_rows) else []
             if self._memories[index] != self._remembered:
                 self._remembered = self._memories[index]
                 world.remember(self._remembered)
+                changed += self._pooled
+            for name in changed:
+                _field(world.model, name)[...] = self.rows[name][index]
             world.invalidate()
             self._attached = index
         self._has_changes |= changes
@@ -571,15 +573,8 @@ class MuJoCoBatch:
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return self.motor("torque", robot, joints, max_torque)
 
-    def position_motor(
-        self,
-        robot: str,
-        joints: Sequence[str],
-        max_torque: Sequence[float],
-        stiffness: Sequence[float] | None,
-        damping: Sequence[float] | None,
-    ) -> MotorWriter:
-        return self.motor("position", robot, joints, max_torque, None, stiffness, damping)
+    def position_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float], *gains: Sequence[float] | None) -> MotorWriter:
+        return self.motor("position", robot, joints, max_torque, None, *gains)
 
     def motor(
         self,
