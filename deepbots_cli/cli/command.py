@@ -19,7 +19,7 @@ from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from deepbots_cli.program import Program
+    pass
 
 
 MAX_SEED = 2**63 - 1
@@ -141,17 +141,6 @@ def seed_list(text: str) -> tuple[int, ...]:
     if len(set(seeds)) < len(seeds):
         raise typer.BadParameter(f"--seeds: '{text[:80]}' has a seed twice")
     return tuple(seeds)
-
-
-def with_case_or_stage(program: Program, case: str | None, stage: str | None) -> Program:
-    """The scenario with the settings of an evaluation case or a curriculum stage; unchanged without either.
-
-    Raises:
-        UsageError: Both are given, or the scenario has no such case or stage.
-    """
-    if case is not None and stage is not None:
-        raise UsageError("--case and --stage exclude each other")
-    return program.case(case).program if case is not None else program.stage(stage).program if stage is not None else program
 
 
 def fraction(text: str) -> float:

@@ -271,14 +271,8 @@ def _evaluation_settings(
 ) -> tuple[Program, int, int]:
     """The program to evaluate in, the number of episodes, and the root seed."""
     program = run.program if judged is None else _require_same_interface(run, judged.program)
-    usual = program.evaluation.episodes
-    if case is not None and stage is not None:
-        raise UsageError("a case and a stage exclude each other")
-    if case is not None:
-        chosen = program.case(case)
-        program, usual = chosen.program, chosen.episodes
-    elif stage is not None:
-        program = program.stage(stage).program
+    usual = program.evaluation.episodes if case is None else program.case(case).episodes
+    program = program.variant(case, stage)
     count, root = usual if episodes is None else episodes, run.record.seed if seed is None else seed
     if count < 1 or root < 0:
         raise UsageError(f"{count} episodes from seed {root} cannot be evaluated; episodes count from 1, seeds from 0")

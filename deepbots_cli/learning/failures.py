@@ -221,12 +221,7 @@ def read_failure(path: Path) -> tuple[Failure, Run, Program]:
         RunError: The file is damaged, or does not lie in the folder `failures` of a run.
     """
     failure, run = read_json(path, Failure, _MAX_FILE_BYTES), Run.open(path.absolute().parent.parent)
-    program = run.program
-    if failure.case is not None:
-        program = program.case(failure.case).program
-    elif failure.stage is not None:
-        program = program.stage(failure.stage).program
-    return failure, run, program
+    return failure, run, run.program.variant(failure.case, failure.stage)
 
 
 def repeat_steps(failure: Failure, program: Program, world: gym.Env[Any, Any], path: Path) -> Iterator[int]:

@@ -80,7 +80,7 @@ def run_tests(
 
     for (case, stage), group in groupby(sorted(tests, key=setting), setting):
         together = tuple(group)
-        chosen = program.case(case).program if case else program.stage(stage).program if stage else program
+        chosen = program.variant(case or None, stage or None)
         with closing(api.make(replace(chosen, tests=together), engine=engine, permissions=permissions)) as environment:
             for test in together:
                 yield _run(environment, test, on_episode)

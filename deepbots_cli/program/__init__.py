@@ -163,6 +163,16 @@ class Program:
         """The stage of the curriculum with that name."""
         return self._named("stage", name, self.curriculum)
 
+    def variant(self, case: str | None, stage: str | None) -> Program:
+        """The scenario with the settings of a case or of a stage; itself without either.
+
+        Raises:
+            UsageError: Both are given, or there is no such case or stage.
+        """
+        if case is not None and stage is not None:
+            raise UsageError("a case and a stage exclude each other")
+        return self.case(case).program if case is not None else self.stage(stage).program if stage is not None else self
+
     def script(self, name: str) -> Script:
         """The script with that name."""
         return self._named("script", name, self.agent.scripts)

@@ -70,7 +70,7 @@ class Showing:
             return ShowingState(None, error.findings, files, self, run)
         files |= frozenset(checked.inputs.names) if run is None else files
         parameters = {name: str(value) for name, value in checked.spec.parameters.items()} if checked.spec else {}
-        chosen = self._chosen(compiled.program)
+        chosen = compiled.program.variant(self.case, self.stage)
         return ShowingState(chosen, compiled.findings, files, self, run, compiled=compiled, parameters=parameters)
 
     def _open_recording(self, path: Path) -> ShowingState:
@@ -85,12 +85,9 @@ class Showing:
         compiled = api.compile(Source.kept(Path(recording.folder.name), self.permissions))
         known = recording.metadata
         shown = replace(self, engine=known.get("engine") or None, case=known.get("case") or None, stage=known.get("stage") or None)
-        return ShowingState(shown._chosen(compiled.program), (), frozenset(), shown, recording=recording, compiled=compiled)
-
-    def _chosen(self, program: Program) -> Program:
-        if self.case is not None and self.stage is not None:
-            raise UsageError("--case and --stage exclude each other")
-        return program.case(self.case).program if self.case else program.stage(self.stage).program if self.stage else program
+        return ShowingState(
+            compiled.program.variant(shown.case, shown.stage), (), frozenset(), shown, recording=recording, compiled=compiled
+        )
 
 
 @dataclass(frozen=True, eq=False)

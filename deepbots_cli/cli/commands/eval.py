@@ -24,7 +24,6 @@ from deepbots_cli.cli.command import (
     known_engine,
     option,
     whole_number,
-    with_case_or_stage,
 )
 from deepbots_cli.cli.commands.insight import repeat_failed
 from deepbots_cli.cli.exits import FAILED
@@ -209,7 +208,7 @@ def command(
         program = known.program if compiled is None else compiled.program
         gates.check(program)
         usual = program.evaluation.episodes if case is None else program.case(case).episodes
-        until = gates.stop_condition(with_case_or_stage(program, case, stage), episodes or usual) if len(several) == 1 else None
+        until = gates.stop_condition(program.variant(case, stage), episodes or usual) if len(several) == 1 else None
         if video is not None and not as_json:
             terminal.note(f"{video} will show episode 0, which is drawn after the evaluation")
         with terminal.progress("episodes" if name is None else f"episodes in {name}", always=False) as show_episode:

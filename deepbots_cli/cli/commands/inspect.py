@@ -12,7 +12,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import inspection, terminal
-from deepbots_cli.cli.command import Case, Engine, Force, Json, Overrides, Stage, option, with_case_or_stage
+from deepbots_cli.cli.command import Case, Engine, Force, Json, Overrides, Stage, option
 from deepbots_cli.cli.sources import is_robot, open_robot, open_source
 from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.diagnostics import Source, Span
@@ -80,7 +80,7 @@ def command(
         return
     side = open_source(scenario, overrides or (), permissions, engine)
     terminal.note_warnings(side.findings, scenario)
-    program = with_case_or_stage(side.program, case, stage)
+    program = side.program.variant(case, stage)
     root = side.root if isinstance(side.root, MappingNode) else MappingNode(Span(Source(scenario, ""), 0, 0), {})
     if case is not None:
         root = with_settings_at(root, ("evaluation", "cases", case))

@@ -26,7 +26,6 @@ from deepbots_cli.cli.command import (
     integer,
     option,
     start_values,
-    with_case_or_stage,
 )
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions
@@ -109,7 +108,7 @@ def command(
     options = start_values(start)
     compiled = api.compile(scenario, overrides=with_engine(overrides, engine), permissions=permissions)
     terminal.note_warnings(compiled.findings, scenario)
-    program = with_case_or_stage(compiled.program, case, stage)
+    program = compiled.program.variant(case, stage)
     if script is not None:
         program.script(script)
     with closing(api.make(program, permissions=permissions)) as environment:
