@@ -18,7 +18,7 @@ from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, UNITS
 from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Family, Function
 from deepbots_cli.expressions.types import Context, Kind
-from deepbots_cli.learning.defaults import DEFAULTS, library_defaults, library_of
+from deepbots_cli.learning.sb3.defaults import DEFAULTS, library_defaults, library_of
 from deepbots_cli.lint import RulePage, every_page
 from deepbots_cli.scenario.base import (
     Forms,

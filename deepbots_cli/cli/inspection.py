@@ -22,8 +22,8 @@ from deepbots_cli.document import MappingNode, Node
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children, names_in
 from deepbots_cli.footprint import resting_height, robot_bounds
 from deepbots_cli.frames import roll_pitch_yaw
-from deepbots_cli.learning.defaults import EffectiveHyperparameter, effective_hyperparameters
 from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.sb3.defaults import EffectiveHyperparameter, effective_hyperparameters
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.resets import OfSensor, RandomizedParameter

@@ -100,7 +100,8 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
     """
     try:
         from deepbots_cli.insight import export
-        from deepbots_cli.learning import models, policy
+        from deepbots_cli.learning import policy
+        from deepbots_cli.learning.sb3 import models
         from deepbots_cli.runtime.spaces import observation_space
     except ModuleNotFoundError as error:
         raise MissingExtraError("export", "exporting a policy") from error

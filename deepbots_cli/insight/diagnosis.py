@@ -48,8 +48,8 @@ from deepbots_cli.insight.statements import (
 )
 from deepbots_cli.insight.trace import Array, Trace
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, lint_findings, returns_rise
-from deepbots_cli.learning.defaults import default_values, longest_episode
 from deepbots_cli.learning.report import longer_goal
+from deepbots_cli.learning.sb3.defaults import default_values, longest_episode
 from deepbots_cli.program.task import Observation
 
 _SAME_TOLERANCE = 1e-6  # numbers of the observation, from -1 to 1, that differ by less are equal

@@ -24,7 +24,7 @@ from torch import nn
 
 import deepbots_cli
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning import algorithms
+from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.program import Program
 from deepbots_cli.runtime.spaces import action_space, observation_space
 

@@ -165,7 +165,8 @@ def trace_episodes(
         RunError: The run holds no model, or one that does not fit.
         UsageError: Films are wanted, and the engine cannot draw.
     """
-    from deepbots_cli.learning import algorithms, evaluation, video
+    from deepbots_cli.learning import evaluation, video
+    from deepbots_cli.learning.sb3 import algorithms
 
     if not run.model(model).is_file() and run.record.status == "failed":
         raise RunError(f"the training of {run.path} failed before it kept a model; its causes: deepbots diagnose {run.path}")

@@ -26,9 +26,9 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.conditions import instrument_program
 from deepbots_cli.insight.trace import Array, Trace, TraceRecorder
 from deepbots_cli.learning import failures
-from deepbots_cli.learning.defaults import effective_hyperparameters
 from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.run import Run, changed_settings, is_training
+from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program import CurriculumStage, Program
 from deepbots_cli.program.task import Schedule, idle_action
@@ -261,7 +261,8 @@ def run_probes(
     training: TrainingEvidence, *, permissions: Permissions = Permissions(), on_episode: Callable[[int, int], object] | None = None
 ) -> None:
     """Run the short episodes of a training, all from the same starts."""
-    from deepbots_cli.learning import algorithms, evaluation
+    from deepbots_cli.learning import evaluation
+    from deepbots_cli.learning.sb3 import algorithms
 
     run = training.run
     seeds = [derive_seed(run.record.seed, "diagnosis", number) for number in range(PROBE_EPISODES)]

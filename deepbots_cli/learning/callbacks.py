@@ -31,15 +31,16 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from deepbots_cli.api import build_batch
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning import batch, models
+from deepbots_cli.learning import batch
 from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.defaults import effective_hyperparameters
 from deepbots_cli.learning.environments import World, WorldFactory
 from deepbots_cli.learning.episodes import Statistics, Summary
 from deepbots_cli.learning.evaluation import batch_rollout, rollout
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.report import LINE_INTERVAL_S, Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.sb3 import models
+from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout import Episode

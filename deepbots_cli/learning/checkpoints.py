@@ -35,8 +35,6 @@ from stable_baselines3.her import HerReplayBuffer
 
 from deepbots_cli.errors import RunError
 from deepbots_cli.files import unwritable_message
-from deepbots_cli.learning import models
-from deepbots_cli.learning.algorithms import DecayingNoise
 from deepbots_cli.learning.callbacks import TrainingCallback, check_finite
 from deepbots_cli.learning.checkpoint_files import (
     Array,
@@ -53,9 +51,11 @@ from deepbots_cli.learning.checkpoint_files import (
     read_state,
     write_arrays,
 )
-from deepbots_cli.learning.defaults import longest_episode
 from deepbots_cli.learning.environments import VectorEnvironment, observation_digest
 from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.sb3 import models
+from deepbots_cli.learning.sb3.algorithms import DecayingNoise
+from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.runtime.batch import EpisodeHistory
 from deepbots_cli.runtime.streams import derive_seed
 

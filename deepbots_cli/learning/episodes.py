@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 from itertools import pairwise
 from pathlib import Path
 from statistics import fmean, stdev
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, TextIO
 
 from pydantic import BaseModel, Field, NonNegativeInt
 
@@ -22,9 +22,6 @@ from deepbots_cli.files import unwritable_message
 from deepbots_cli.program.draws import is_of_member
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
-
-if TYPE_CHECKING:
-    from stable_baselines3.common.monitor import ResultsWriter
 
 WINDOW_EPISODES = 100
 """Episodes that a training figure is averaged over, unless the scenario's `solved` says otherwise."""
@@ -41,16 +38,16 @@ UNBOUNDED: Interval = (-math.inf, math.inf)
 
 
 class EpisodeLog:
-    """`monitor.csv`: a line per episode, in the format that Stable-Baselines3's `load_results` reads.
+    """`monitor.csv`: a line per episode, in the format of Gym's monitor, which the `load_results` of learning libraries reads.
 
     r, l, t (return, length, seconds since the start), then our columns; `drawn` holds the drawn values as JSON. Appends to what is there.
     """
 
-    COLUMNS = ("episode", "steps", "simulated_hours", "is_success", "ended_by", "stage", "drawn")
+    COLUMNS = ("r", "l", "t", "episode", "steps", "simulated_hours", "is_success", "ended_by", "stage", "drawn")
 
     def __init__(self, path: Path, scenario: str) -> None:
         self._path, self._scenario = path, scenario
-        self._writer: ResultsWriter | None = None
+        self._stream: TextIO | None = None
         self._started = time.time()
 
     def open(self) -> None:
@@ -59,16 +56,18 @@ class EpisodeLog:
         Raises:
             RunError: The file cannot be written.
         """
-        from stable_baselines3.common.monitor import ResultsWriter  # which imports torch
-
         try:
-            header: dict[str, float | str] = {"t_start": time.time(), "env_id": self._scenario}
-            self._writer = ResultsWriter(str(self._path), header, self.COLUMNS, override_existing=not self._path.exists())
+            is_new = not self._path.exists()
+            self._stream = self._path.open("a", newline="\n", encoding="utf-8")
+            self._rows = csv.DictWriter(self._stream, self.COLUMNS)
+            if is_new:
+                self._stream.write(f"#{json.dumps({'t_start': time.time(), 'env_id': self._scenario})}\n")
+                self._rows.writeheader()
         except OSError as error:
             raise RunError(unwritable_message(self._path, error)) from error
 
     def write(self, episode: Episode, statistics: Statistics, stage: str | None = None, drawn: Mapping[str, Any] | None = None) -> None:
-        if self._writer is None:
+        if self._stream is None:
             raise RuntimeError("the log is not open")
         row: dict[str, Any] = {
             "r": round(episode.total_return, 6),
@@ -82,11 +81,12 @@ class EpisodeLog:
             "stage": stage or "",
             "drawn": json.dumps(drawn) if drawn else "",
         }
-        self._writer.write_row(row)
+        self._rows.writerow(row)
+        self._stream.flush()
 
     def close(self) -> None:
-        if self._writer is not None:
-            self._writer.close()
+        if self._stream is not None:
+            self._stream.close()
 
 
 def read_log(path: Path, *, tail: int | None = None) -> list[dict[str, str]]:
@@ -102,7 +102,7 @@ def read_log(path: Path, *, tail: int | None = None) -> list[dict[str, str]]:
             size = os.fstat(stream.fileno()).st_size
             if size > MAX_LOG_BYTES and tail is None:
                 raise RunError(f"{path} is larger than {MAX_LOG_BYTES >> 20} MiB")
-            stream.readline(_MAX_LINE_BYTES)  # of Stable-Baselines3
+            stream.readline(_MAX_LINE_BYTES)  # of the header
             names = stream.readline(_MAX_LINE_BYTES).decode(errors="replace").strip().split(",")
             begin = stream.tell()
             if tail is not None and size - tail > begin:

@@ -29,11 +29,12 @@ from deepbots_cli.api import Compiled, build_batch
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.learning import algorithms, batch, models, video
+from deepbots_cli.learning import batch, video
 from deepbots_cli.learning.environments import VectorEnvironment, World, WorldFactory, default_factory, has_copies
 from deepbots_cli.learning.episodes import UNBOUNDED, DrawnBin, Summary, by_drawn_value, statistics_of
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.run import ModelName, Run, in_parentheses, remark_on_episodes
+from deepbots_cli.learning.sb3 import algorithms, models
 from deepbots_cli.learning.verdict import circumstances, solved_verdict
 from deepbots_cli.program import Program, identity
 from deepbots_cli.rollout import Driver, Episode, EpisodeAccumulator, Start, Step, play, steps

@@ -224,7 +224,7 @@ def resume_group(
     followers = {name: tuple(names) for name, names in (("callbacks", callbacks), ("loggers", loggers)) if names is not None}
     with run_lock(known.path):
         if followers:
-            from deepbots_cli.learning import plugins  # which imports torch
+            from deepbots_cli.learning.sb3 import plugins  # which imports torch
 
             plugins.check(followers.get("callbacks", ()), followers.get("loggers", ()))
             known = Group(known.path, known.record.model_copy(update=followers))

@@ -15,8 +15,9 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning import algorithms, evaluation
+from deepbots_cli.learning import evaluation
 from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime.observing import Observer

@@ -27,12 +27,11 @@ from deepbots_cli.api import Compiled, build_batch
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, PluginError, RunError, UsageError
 from deepbots_cli.files import unwritable_message
-from deepbots_cli.learning import algorithms, batch, models, plugins
+from deepbots_cli.learning import batch
 from deepbots_cli.learning.callbacks import UNLIMITED_SHARE, Evaluator, TrainingCallback, check_finite, describe, signals_handled
 from deepbots_cli.learning.checkpoint_files import damage_explained, latest_checkpoint
 from deepbots_cli.learning.checkpoints import Checkpoints, ResumableAlgorithm
 from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.defaults import longest_episode
 from deepbots_cli.learning.environments import VectorEnvironment, World, WorldFactory, default_factory
 from deepbots_cli.learning.episodes import MAX_STEPS, EpisodeLog, Statistics
 from deepbots_cli.learning.failures import BatchFailureRecorder, FailureRecorder
@@ -50,6 +49,8 @@ from deepbots_cli.learning.run import (
     versions,
     write_record,
 )
+from deepbots_cli.learning.sb3 import algorithms, models, plugins
+from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout import Episode

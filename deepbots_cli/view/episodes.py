@@ -150,8 +150,9 @@ class RunDriver(Driver):
     def __init__(self, run: Any, env: Supervisor, rows: int = 0) -> None:
         """`rows` are the worlds of a batch, which one forward pass acts in."""
         try:
-            from deepbots_cli.learning import evaluation, models
+            from deepbots_cli.learning import evaluation
             from deepbots_cli.learning.run import RunRecord
+            from deepbots_cli.learning.sb3 import models
         except ModuleNotFoundError as error:
             raise MissingExtraError("train", "showing the policy of a run") from error
         if differences := identity.differences(run.program, env.scenario):

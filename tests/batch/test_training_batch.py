@@ -15,10 +15,10 @@ pytest.importorskip("stable_baselines3")
 
 from deepbots_cli import api, learning
 from deepbots_cli.errors import EvaluationError
-from deepbots_cli.learning import algorithms
 from deepbots_cli.learning.batch import BatchVectorEnvironment, stepping_text
 from deepbots_cli.learning.environments import VectorEnvironment, default_factory, observation_digest
 from deepbots_cli.learning.evaluation import batch_rollout, rollout
+from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime import Supervisor

@@ -15,7 +15,7 @@ from deepbots_cli.cli.commands.bench import measure
 from deepbots_cli.cli.commands.train import _name_faster_engine as name_faster_engine
 from deepbots_cli.cli.throughput import faster_engine
 from deepbots_cli.document import Permissions
-from deepbots_cli.learning import defaults
+from deepbots_cli.learning.sb3 import defaults
 
 PLAIN = "train={algorithm: PPO, total_timesteps: 1000, policy: {activation: relu}}"
 TEAM = Path(__file__).parents[1] / "channel" / "team.yaml"

@@ -159,7 +159,7 @@ def test_the_reference_is_current(name: str, monkeypatch: pytest.MonkeyPatch):
 
 
 def test_every_algorithm_of_the_language_can_be_trained_with():
-    from deepbots_cli.learning.algorithms import ALGORITHMS
+    from deepbots_cli.learning.sb3.algorithms import ALGORITHMS
     from deepbots_cli.scenario.training import ALGORITHMS as DECLARED
 
     assert set(ALGORITHMS) == set(DECLARED)

@@ -20,9 +20,9 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
 from deepbots_cli.insight import export
-from deepbots_cli.learning import algorithms
 from deepbots_cli.learning.environments import VectorEnvironment
 from deepbots_cli.learning.policy import Policy, _Spaces, load_policy
+from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.program.task import Network, Training
 
 slow = pytest.mark.slow

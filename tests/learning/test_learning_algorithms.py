@@ -19,11 +19,12 @@ import torch
 
 from deepbots_cli import api
 from deepbots_cli.errors import MissingExtraError, UsageError, install_hint
-from deepbots_cli.learning import TrainingResult, algorithms, defaults, evaluate, models, resume, train, training
-from deepbots_cli.learning.algorithms import DecayingNoise
+from deepbots_cli.learning import TrainingResult, evaluate, resume, train, training
 from deepbots_cli.learning.checkpoints import ResumableAlgorithm
 from deepbots_cli.learning.environments import VectorEnvironment
 from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.sb3 import algorithms, defaults, models
+from deepbots_cli.learning.sb3.algorithms import DecayingNoise
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Network, Schedule, Training
 from tests.few import few

@@ -8,9 +8,10 @@ import pytest
 import stand_in
 import torch
 
-from deepbots_cli.learning import TrainingResult, algorithms, callbacks, evaluate, models, resume, train
+from deepbots_cli.learning import TrainingResult, callbacks, evaluate, resume, train
 from deepbots_cli.learning.callbacks import Evaluator, Interruption
 from deepbots_cli.learning.environments import VectorEnvironment
+from deepbots_cli.learning.sb3 import algorithms, models
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Solved, Training
 from deepbots_cli.runtime.streams import derive_seed

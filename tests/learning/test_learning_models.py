@@ -25,8 +25,8 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.insight.export import networks
 from deepbots_cli.learning import TrainingResult, evaluate, load_policy, resume, train
 from deepbots_cli.learning.evaluation import load_model
-from deepbots_cli.learning.models import steps_of
 from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.sb3.models import steps_of
 from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Training
 from tests.few import few
 

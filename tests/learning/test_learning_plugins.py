@@ -17,10 +17,11 @@ from stable_baselines3 import PPO
 
 from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import PluginError, UsageError
-from deepbots_cli.learning import TrainingResult, models, resume, resume_group, train, train_group
+from deepbots_cli.learning import TrainingResult, resume, resume_group, train, train_group
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.run import RunRecord
+from deepbots_cli.learning.sb3 import models
 from deepbots_cli.program.task import Hyperparameter, Training
 from tests.plugins import test_plugins
 

@@ -22,9 +22,10 @@ from stable_baselines3.common.env_checker import check_env
 
 from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError, install_hint
-from deepbots_cli.learning import TrainingResult, algorithms, checkpoints, evaluate, resume, train
+from deepbots_cli.learning import TrainingResult, checkpoints, evaluate, resume, train
 from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal, to_json
 from deepbots_cli.learning.run import Run, run_lock
+from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.learning.training import _training_of
 from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Solved, Training
 from tests.few import few

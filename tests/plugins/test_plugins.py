@@ -241,7 +241,7 @@ def test_the_algorithm_of_a_plugin_trains_with_its_default_and_one_without_tenso
 from deepbots_cli import api
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import train
-from deepbots_cli.learning import algorithms, defaults
+from deepbots_cli.learning.sb3 import algorithms, defaults
 program = api.compile("acme_spin").program
 print({entry.name: entry.value for entry in program.agent.training.hyperparameters}, algorithms.check(program.agent.training))
 print([entry.value for entry in defaults.effective_hyperparameters(program, 1000) if entry.name == "n_epochs"])

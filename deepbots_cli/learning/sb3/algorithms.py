@@ -24,7 +24,7 @@ from torch import nn
 
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.learning import defaults
+from deepbots_cli.learning.sb3 import defaults
 from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.task import ActionNoise as NoiseSettings
 from deepbots_cli.program.task import Hindsight, Hyperparameter, Network, Schedule, Training
