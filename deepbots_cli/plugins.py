@@ -6,8 +6,8 @@
     deepbots.formats      a `message_formats.MessageFormat`, under its name
     deepbots.rules        one or several `diagnostics.Rule`, each with a `check`
     deepbots.algorithms   a subclass of a model of `scenario.training`, under its name
-    deepbots.callbacks    makes a `BaseCallback` of Stable-Baselines3, under its name
-    deepbots.loggers      makes a `KVWriter` of Stable-Baselines3, under its name
+    deepbots.callbacks    makes a callback of the learner's library, under its name
+    deepbots.loggers      makes a writer of its log, under its name
     deepbots.engines      a `port.EngineFactory`, under its name
     deepbots.scenarios    a package whose folder holds `scenarios/*.yaml` and `robots/urdf/*.urdf`
 

@@ -94,21 +94,21 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
     """The files of the bundle of a run.
 
     Raises:
-        MissingExtraError: onnx or Stable-Baselines3 is not installed.
+        MissingExtraError: onnx or what learns is not installed.
         RunError: There is no such model, or it is damaged.
         UsageError: The policy cannot be exported.
     """
     try:
         from deepbots_cli.insight import export
         from deepbots_cli.learning import policy
-        from deepbots_cli.learning.sb3 import models
+        from deepbots_cli.learning.learner import steps_of
         from deepbots_cli.runtime.spaces import observation_space
     except ModuleNotFoundError as error:
         raise MissingExtraError("export", "exporting a policy") from error
-    model = policy.loaded(run, name)
-    graphs = export.networks(model, run.program)
+    learner = policy.loaded(run, name)
+    graphs = export.networks(learner, run.program)
     verdict = run_verdict(run.path, run.record) if name == "best" else RunVerdict(None, None)
-    program, record, lstm = run.program, run.record, getattr(model.policy, "lstm_actor", None)
+    program, record, lstm = run.program, run.record, learner.network().memory
     space: Any = observation_space(program.agent)
     masks = [f"{part.name}: {option.name}" for part in program.agent.choices for option in part.options]
     card = Card(
@@ -122,7 +122,7 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         algorithm=program.agent.training.algorithm if program.agent.training else "",
         model=name,
         training_seed=record.seed,
-        training_steps=models.steps_of(run.model(name)),
+        training_steps=steps_of(run.model(name)),
         engine=record.engine,
         control_period_s=program.period,
         control_rate_hz=round(1 / program.period, 6),
@@ -130,7 +130,7 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         achieved_and_desired_goal=program.agent.goal.values if program.agent.goal else (),
         pictures=tuple(CardImage(name=each.key, shape=space[each.key].shape) for each in program.agent.images),
         action=tuple(_card_actions(program)),
-        action_mask=tuple(masks) if export.takes_masks(model, program) else None,
+        action_mask=tuple(masks) if export.takes_masks(learner, program) else None,
         memory=(lstm.num_layers, lstm.hidden_size) if lstm is not None else None,
         result=verdict.evaluation,
         solved=verdict.solved,

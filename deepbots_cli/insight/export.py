@@ -1,7 +1,7 @@
 """The policy of a run as ONNX graphs, built node by node from the layers of its networks.
 
-`torch.onnx.export` needs onnxscript for its present form and warns about its older one, so the few kinds of layers that the policies of
-Stable-Baselines3 have are written here. A graph has the batch as first axis of every input and output, but for the memory of a recurrent
+`torch.onnx.export` needs onnxscript for its present form and warns about its older one, so the few kinds of layers that policies have
+are written here. A graph has the batch as first axis of every input and output, but for the memory of a recurrent
 policy, whose axes are layers, batch and units.
 """
 
@@ -17,14 +17,12 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 from onnx import TensorProto, helper, numpy_helper
 from onnx.reference import ReferenceEvaluator
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.preprocessing import is_image_space
-from stable_baselines3.common.torch_layers import NatureCNN
 from torch import nn
 
 import deepbots_cli
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.sb3 import algorithms
+from deepbots_cli.learning.learner import Learner
+from deepbots_cli.learning.sb3.networks import PolicyNetwork
 from deepbots_cli.program import Program
 from deepbots_cli.runtime.spaces import action_space, observation_space
 
@@ -35,7 +33,7 @@ _FORBIDDEN_LOGIT = -1e8
 """The logit of a forbidden option, as in sb3-contrib."""
 _CHECKED = 1000
 TOLERANCE = 1e-5
-"""Largest difference of an exported action from the one of Stable-Baselines3, in the agent's [-1, 1]."""
+"""Largest difference of an exported action from that of the learner, in the agent's [-1, 1]."""
 
 _ACTIVATIONS: Mapping[type[nn.Module], tuple[str, str]] = {
     nn.Tanh: ("Tanh", ""), nn.ReLU: ("Relu", ""), nn.Sigmoid: ("Sigmoid", ""), nn.ELU: ("Elu", "alpha"),
@@ -98,56 +96,45 @@ class _Graph:
                 return str(self.add("Mul", self.add("Mul", value, self.constant(0.5)), self.add("Add", erf, self.constant(1.0))))
             case nn.Hardtanh():
                 return str(self.add("Clip", value, self.constant(module.min_val), self.constant(module.max_val)))
-            case NatureCNN():
-                return self.layers(module.linear, self.layers(module.cnn, value))
             case _ if type(module) in _ACTIVATIONS:
                 operator, slope = _ACTIVATIONS[type(module)]
                 return str(self.add(operator, value, **({"alpha": getattr(module, slope)} if slope else {})))
         raise UsageError(f"the policy holds a layer {type(module).__name__}, which cannot be exported")
 
 
-def networks(model: BaseAlgorithm, program: Program) -> dict[str, bytes]:
+def networks(learner: Learner, program: Program) -> dict[str, bytes]:
     """The two graphs of a policy, by the names of their files.
 
     `policy.onnx` takes observations of the environment and returns its actions; `policy_si.onnx` takes the same values in SI units and
-    returns commands in SI units. Each is compared with Stable-Baselines3 on 1000 random observations.
+    returns commands in SI units. Each is compared with the policy on 1000 random observations.
 
     Raises:
         UsageError: The policy has a part that cannot be exported, or a graph acts otherwise than the policy.
     """
-    graphs = {"policy.onnx": _graph(model, program, si=False), "policy_si.onnx": _graph(model, program, si=True)}
-    difference = largest_difference(model, program, graphs["policy.onnx"], _CHECKED)
+    network: PolicyNetwork = learner.network()
+    graphs = {f"policy{'_si' * si}.onnx": _graph(learner, network, program, si=si) for si in (False, True)}
+    difference = largest_difference(learner, program, graphs["policy.onnx"], _CHECKED)
     if not difference <= TOLERANCE:  # also where it is no number
-        raise UsageError(f"the exported policy differs from the one of Stable-Baselines3 by {difference:.2g}; please report this")
+        raise UsageError(f"the exported policy differs from that of the learner by {difference:.2g}; please report this")
     return graphs
 
 
-def takes_masks(model: BaseAlgorithm, program: Program) -> bool:
+def takes_masks(learner: Learner, program: Program) -> bool:
     """Whether the graph has the input `action_mask`: the algorithm uses action masks, and the scenario forbids options."""
-    return algorithms.takes_masks(model) and any(option.forbidden is not None for part in program.agent.choices for option in part.options)
+    return learner.takes_masks and any(option.forbidden is not None for part in program.agent.choices for option in part.options)
 
 
-def _graph(model: BaseAlgorithm, program: Program, *, si: bool) -> bytes:
-    graph, policy = _Graph(), model.policy
-    features = _features(graph, model, program, si=si)
-    head: Any = policy
-    if hasattr(policy, "lstm_actor"):
-        features = _memory(graph, head.lstm_actor, features)
-    if hasattr(policy, "mlp_extractor"):  # PPO, A2C and their kin
-        value = graph.layers(head.action_net, graph.layers(head.mlp_extractor.policy_net, features))
-    elif hasattr(policy, "q_net"):
-        value = graph.layers(head.q_net.q_net, features)
-    elif hasattr(policy, "actor") and hasattr(head.actor, "latent_pi"):  # SAC, TQC
-        value = graph.add("Tanh", graph.layers(head.actor.mu, graph.layers(head.actor.latent_pi, features)))
-    elif hasattr(policy, "actor"):  # TD3, DDPG; their last layer is a Tanh
-        value = graph.layers(head.actor.mu, features)
-    else:
-        raise UsageError(f"policies of {type(model).__name__} cannot be exported")
+def _graph(learner: Learner, network: PolicyNetwork, program: Program, *, si: bool) -> bytes:
+    graph = _Graph()
+    features = _features(graph, network, program, si=si)
+    if network.memory is not None:
+        features = _memory(graph, network.memory, features)
+    value = graph.layers(network.layers, features)
     space = action_space(program.agent)
     if isinstance(space, spaces.Box):
         _ranges(graph, value, program, si=si)
     else:
-        _choices(graph, value, model, program, si=si)
+        _choices(graph, value, learner, program, si=si)
     names = [entry.name for entry in graph.inputs]
     found = helper.make_model(
         helper.make_graph(graph.nodes, program.name, graph.inputs, graph.outputs, graph.weights),
@@ -158,37 +145,25 @@ def _graph(model: BaseAlgorithm, program: Program, *, si: bool) -> bytes:
     return bytes(found.SerializeToString())
 
 
-def _features(graph: _Graph, model: BaseAlgorithm, program: Program, *, si: bool) -> str:
+def _features(graph: _Graph, network: PolicyNetwork, program: Program, *, si: bool) -> str:
     """What the networks begin with: the observation, or the parts of a Dict in the order of the space."""
     space = observation_space(program.agent)
-    seen: Any = model.policy.observation_space
     parts: Mapping[str, Any] = space.spaces if isinstance(space, spaces.Dict) else {"observation": space}
     values = []
-    extractors: Any = getattr(_extractor(model), "extractors", None)
     for name, part in parts.items():
         value = graph.input(name, part.dtype, "batch", *part.shape)
         if len(part.shape) == 3:
             value = graph.add("Cast", value, to=TensorProto.FLOAT)
-            if is_image_space(seen[name]) and model.policy.normalize_images:
+            if name in network.pictures:
                 value = graph.add("Div", value, graph.constant(255.0))
-            if seen[name].shape != part.shape:  # Stable-Baselines3 takes channels first
+            if name in network.transposed:  # channels come first in the network
                 value = graph.add("Transpose", value, perm=[0, 3, 1, 2])
         elif si:
             low, high = _bounds(program, name)
             value = graph.add("Mul", graph.add("Sub", value, graph.constant((low + high) / 2)), graph.constant(2 / (high - low)))
             value = graph.add("Max", graph.add("Min", value, graph.constant(part.high)), graph.constant(part.low))
-        values.append(value if extractors is None else graph.layers(extractors[name], value))
+        values.append(value if network.extractors is None else graph.layers(network.extractors[name], value))
     return values[0] if len(values) == 1 else str(graph.add("Concat", *values, axis=1))
-
-
-def _extractor(model: BaseAlgorithm) -> nn.Module:
-    """Raises: UsageError: The policy has no modules of torch."""
-    policy: Any = model.policy
-    for owner in (policy, getattr(policy, "actor", None), getattr(policy, "q_net", None)):
-        for name in ("pi_features_extractor", "features_extractor"):
-            if isinstance(found := getattr(owner, name, None), nn.Module):
-                return found
-    raise UsageError(f"the policy of {type(model).__name__} has no networks in torch, and cannot be exported")
 
 
 def _bounds(program: Program, name: str) -> tuple[Any, Any]:
@@ -233,11 +208,11 @@ def _ranges(graph: _Graph, value: str, program: Program, *, si: bool) -> None:
     graph.output("command" if si else "action", value, np.float32, "batch", len(ends))
 
 
-def _choices(graph: _Graph, value: str, model: BaseAlgorithm, program: Program, *, si: bool) -> None:
+def _choices(graph: _Graph, value: str, learner: Learner, program: Program, *, si: bool) -> None:
     """The option with the largest logit of each choice; its number, or the values that it sets."""
     parts = program.agent.choices
     sizes = [len(part.options) for part in parts]
-    if takes_masks(model, program):
+    if takes_masks(learner, program):
         allowed = graph.input("action_mask", np.bool_, "batch", sum(sizes))
         value = graph.add("Where", allowed, value, graph.constant(_FORBIDDEN_LOGIT))
     rows = graph.add("Split", value, graph.constant(sizes, np.int64), outputs=len(sizes), axis=1) if len(sizes) > 1 else [value]
@@ -256,7 +231,7 @@ def _choices(graph: _Graph, value: str, model: BaseAlgorithm, program: Program, 
 
 
 def largest_difference(
-    model: BaseAlgorithm, program: Program, graph: bytes, count: int, run: Callable[[Mapping[str, Any]], Sequence[Any]] | None = None
+    learner: Learner, program: Program, graph: bytes, count: int, run: Callable[[Mapping[str, Any]], Sequence[Any]] | None = None
 ) -> float:
     """Between the actions of a graph and those of the policy on random observations; 1 for another option of a choice.
 
@@ -271,19 +246,19 @@ def largest_difference(
     observations: Any = rows.sample()
     feeds = dict(observations) if isinstance(observations, dict) else {"observation": observations}
     options: dict[str, Any] = {}
-    if algorithms.takes_masks(model):
+    if learner.takes_masks:
         sizes = [len(part.options) for part in program.agent.choices]
-        allowed = random.random((count, sum(sizes))) < (0.5 if takes_masks(model, program) else 2.0)
+        allowed = random.random((count, sum(sizes))) < (0.5 if takes_masks(learner, program) else 2.0)
         allowed[:, np.cumsum([0, *sizes[:-1]])] = True
         options["action_masks"] = allowed
-        if takes_masks(model, program):
+        if takes_masks(learner, program):
             feeds["action_mask"] = allowed
-    lstm = getattr(model.policy, "lstm_actor", None)
+    lstm = learner.network().memory
     if lstm is not None:
         state = tuple(random.normal(0.0, 0.5, (lstm.num_layers, count, lstm.hidden_size)).astype(np.float32) for _ in range(2))
         feeds |= {"hidden": state[0], "cell": state[1]}
         options |= {"state": state, "episode_start": np.zeros(count, bool)}
-    actions, after = model.predict(observations, deterministic=True, **options)
+    actions, after = learner.predict(observations, deterministic=True, **options)
     found = run(feeds) if run else ReferenceEvaluator(onnx.load_from_string(graph)).run(None, feeds)
     names = [entry.name for entry in onnx.load_from_string(graph).graph.output]
     results = dict(zip(names, found, strict=True))

@@ -166,23 +166,24 @@ def trace_episodes(
         UsageError: Films are wanted, and the engine cannot draw.
     """
     from deepbots_cli.learning import evaluation, video
-    from deepbots_cli.learning.sb3 import algorithms
+    from deepbots_cli.learning.sb3.algorithms import torch_settings
+    from deepbots_cli.rollout.policies import PolicyDriver
 
     if not run.model(model).is_file() and run.record.status == "failed":
         raise RunError(f"the training of {run.path} failed before it kept a model; its causes: deepbots diagnose {run.path}")
     if not run.model(model).is_file():
         raise RunError(f"{run.path} holds no model '{model}'; train it first, with: deepbots train --resume {run.path}")
     watch = instrument_program(run.program)
-    with algorithms.torch_settings(), closing(_world(watch, run.engine_for(run.program), permissions, draw=bool(films))) as world:
+    with torch_settings(), closing(_world(watch, run.engine_for(run.program), permissions, draw=bool(films))) as world:
         policy = evaluation.load_model(run, model, world)
         for number in numbers:
             film, begin = films.get(number), Start.of_evaluation(seed, number)
             with video.recording_video(world, film, watch.program.period) if film is not None else nullcontext(world) as acted:
-                play(acted, evaluation.PolicyDriver(policy, acted, deterministic=deterministic), begin)
+                play(acted, PolicyDriver(policy, acted, deterministic=deterministic), begin)
             trace = world.trace(f"episode {number} of {run.path}", notes=run.notes())
             row = list(world.world.agents).index(trace.agent) if trace.agent else None
             observations = [seen if row is None else value_of_row(seen, row) for seen in world.observations[:-1]]
-            trace.critic = evaluation.critic_values(policy, observations)
+            trace.critic = policy.values(observations)
             yield trace
 
 

@@ -261,20 +261,21 @@ def run_probes(
     training: TrainingEvidence, *, permissions: Permissions = Permissions(), on_episode: Callable[[int, int], object] | None = None
 ) -> None:
     """Run the short episodes of a training, all from the same starts."""
-    from deepbots_cli.learning import evaluation
-    from deepbots_cli.learning.sb3 import algorithms
+    from deepbots_cli.learning.evaluation import load_model
+    from deepbots_cli.learning.sb3.algorithms import torch_settings
+    from deepbots_cli.rollout.policies import PolicyDriver
 
     run = training.run
     seeds = [derive_seed(run.record.seed, "diagnosis", number) for number in range(PROBE_EPISODES)]
     watch = instrument_program(training.program, include_observation=True)
     world = TraceRecorder(api.build(watch.program, engine=run.record.engine, permissions=permissions), watch)
-    with algorithms.torch_settings(), closing(world):
+    with torch_settings(), closing(world):
         constant = _constant(world.world)
         idle = idle_action(training.program.agent.action)
         if any(not part.low <= 0.0 <= part.high for part in training.program.agent.ranges):
             idle = None  # no command is zero
         name: Any = next((name for name in ("last", "best") if run.model(name).is_file()), None)
-        model = None if name is None else evaluation.load_model(run, name, world)
+        model = None if name is None else load_model(run, name, world)
         total = PROBE_EPISODES * (1 + (idle is not None) + (model is not None)) + sum(map(len, constant.values()))
         done = 0
 
@@ -299,7 +300,7 @@ def run_probes(
         if idle is not None:
             training.idle = [episode(seed, constant_driver(world.world.make_action(*idle))) for seed in seeds]
         if model is not None:
-            training.policy = [episode(seed, evaluation.PolicyDriver(model, world)) for seed in seeds]
+            training.policy = [episode(seed, PolicyDriver(model, world)) for seed in seeds]
 
 
 def _constant(env: Supervisor) -> dict[str, dict[str, Any]]:

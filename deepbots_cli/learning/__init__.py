@@ -1,18 +1,15 @@
-"""Learning: from a compiled scenario to a trained, evaluated policy in a directory of its own, on Stable-Baselines3.
+"""Learning: from a compiled scenario to a trained, evaluated policy in a directory of its own.
 
 training.py      train and resume: joins all of the below
-evaluation.py    evaluate: episodes of a policy on held-out starts, intervals
+evaluation.py    evaluate: a policy on held-out starts, with intervals
 verdict.py       which evaluation of a run counts, what it was made with, and whether the run is solved
 run.py           the run directory: what is kept, written atomically, read with suspicion
-models.py        models as Stable-Baselines3's zip files, read without unpickling
+learner.py       what learns: the interface of an algorithm, and a base for algorithms of other packages
+sb3/             the learner of the built-in algorithms
 checkpoints.py   the whole state of a training, from which it goes on to the bit
 checkpoint_files.py  the files of a checkpoint, and what they may hold
-plugins.py       callbacks and loggers of other packages
 callbacks.py     what happens during training: evaluations, the best model, scalars, when to stop
-algorithms.py    algorithms made for a scenario, action noise
-defaults.py      the hyperparameters that a training takes: the scenario's, our defaults, the library's
-environments.py  a vector environment over several worlds
-batch.py         the same over a batch of worlds
+environments.py  how worlds are made: one by one, or as a batch
 curriculum.py    the stages of a training
 scenario_tests.py  the tests of a scenario
 episodes.py      what episodes leave behind: log, statistics, solved, summaries with intervals

@@ -1,8 +1,6 @@
 """What happens during a training, beside learning: evaluations, the best model, scalars, progress, and when to stop.
 
-EvalCallback and CheckpointCallback of Stable-Baselines3 count calls, evaluate by `evaluate_policy` and save by pickle. The callback here
-counts steps, so that the best model does not depend on the speed of the machine, and evaluates from the same starts each time.
-Checkpoints are taken between roll-outs (`checkpoints.py`), which no callback of Stable-Baselines3 can do.
+The callback counts steps, so that the best model does not depend on the speed of the machine, and evaluates from the same starts each time.
 """
 
 from __future__ import annotations
@@ -12,40 +10,33 @@ import math
 import signal
 import threading
 import time
-from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from shlex import quote
 from types import FrameType
-from typing import Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from pydantic import BaseModel, Field, NonNegativeInt
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import HParam, Logger, TensorBoardOutputFormat
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from deepbots_cli.api import build_batch
-from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning import batch
 from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.environments import World, WorldFactory
+from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch
 from deepbots_cli.learning.episodes import Statistics, Summary
-from deepbots_cli.learning.evaluation import batch_rollout, rollout
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.report import LINE_INTERVAL_S, Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
-from deepbots_cli.learning.sb3 import models
-from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Training
 from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.policies import play_batch, play_episodes
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
+
+if TYPE_CHECKING:
+    from deepbots_cli.learning.learner import Learner, Log
 
 EVALUATION_EPISODES = 20
 """Starts of an evaluation, the same each time: two networks differ by what they do there, not by their luck."""
@@ -54,11 +45,8 @@ CONFIRMATION_EPISODES = 50
 """Starts of the evaluation that ends a training of an off-policy algorithm: of 20 episodes, a network that succeeds in 85 % of all
 loses at most one in 18 % of the cases; of 50, at most two in 1 %. With the small updates of PPO, past episodes tell enough."""
 
-MAX_BEAT = 2_000
+MAX_CHECK_INTERVAL = 2_000
 """Steps after which the callback looks at evaluations, scalars and the progress display; in a short training it does so earlier."""
-
-SCALAR_WINDOW_STEPS = 256
-"""Steps of each copy of the environment that the scalars of an off-policy algorithm describe."""
 
 EVALUATION_SHARE, FINAL_EVALUATION_SHARE, UNLIMITED_SHARE = 0.1, 0.5, math.inf
 """What evaluations may take of the steps that are trained: little as a rule, half when only one is missing to end the training."""
@@ -104,7 +92,7 @@ class Evaluator:
         self._engine = "" if run is None else run.record.engine
         self._seeds: Sequence[int] = [derive_seed(seed, "trial", k) for k in range(CONFIRMATION_EPISODES)]
         self._scenario: Program | None = None
-        self._world: World | None = None
+        self._world: FailureRecorder | None = None
         self._batch: BatchSupervisor | None = None
 
     def is_due(self, trained: int, length: float, share: float) -> bool:
@@ -113,7 +101,7 @@ class Evaluator:
 
     def run_episodes(
         self,
-        model: BaseAlgorithm,
+        model: Learner,
         scenario: Program,
         interruption: Interruption,
         count: int = EVALUATION_EPISODES,
@@ -134,14 +122,14 @@ class Evaluator:
         if scenario is not self._scenario:
             self.close()
             self._scenario = scenario
-            if not batch.reasons_against_batch(scenario, EVALUATION_EPISODES, self._engine, self._build):
+            if not reasons_against_batch(scenario, EVALUATION_EPISODES, self._engine, self._build):
                 self._batch = build_batch(scenario, EVALUATION_EPISODES, engine=self._engine)
         try:
-            found = None if self._batch is None else batch_rollout(model, self._batch, seeds, on_episode=look)
+            found = None if self._batch is None else play_batch(model, self._batch, seeds, on_episode=look)
             if found is None:
                 if self._world is None:
                     self._world = FailureRecorder(self._build(scenario), self._run, scenario, seeds=self._seeds, stage=stage)
-                found = rollout(model, [self._world], seeds, deterministic=True, on_episode=look)
+                found = play_episodes(model, [self._world], seeds, deterministic=True, on_episode=look)
         finally:
             torch.set_rng_state(state)
         self.steps += sum(episode.length for episode in found)
@@ -173,17 +161,16 @@ class CallbackState(BaseModel, strict=True, allow_inf_nan=False):
     evaluation_steps: NonNegativeInt
 
 
-class TrainingCallback(BaseCallback):
-    """Called by Stable-Baselines3 after every step of all rows.
+class TrainingCallback:
+    """Called by the learner after every step of all rows.
 
-    Every `beat` steps it looks after evaluations, scalars and the progress display; whether to stop it asks each time. A model with a
-    number that is not finite is refused, so the last good one stays.
+    Every `check_interval` steps it looks after evaluations, scalars and the progress display; whether to stop it asks each time. A model
+    with a number that is not finite is refused, so the last good one stays.
     """
 
     def __init__(
         self, run: Run, statistics: Statistics, curriculum: Curriculum, evaluator: Evaluator, reporter: Reporter, total: int
     ) -> None:
-        super().__init__()
         self.run = run
         self.statistics = statistics
         self.curriculum = curriculum
@@ -194,22 +181,26 @@ class TrainingCallback(BaseCallback):
         self.best: ModelRank | None = None
         self.confirmed = False
         """Whether the task was solved and an evaluation since then has shown that the networks of that moment solve it."""
-        self._has_success = run.program.defines_success
+        self.defines_success = run.program.defines_success
         self._until_solved = run.record.stop_when_solved
         self._solved_seen = False
         self._evaluated_at = -1
-        self._beat = max(1, min(MAX_BEAT, total // 100))
-        self._next_beat = 0
-        self._beat_passed = False
+        self._check_interval = max(1, min(MAX_CHECK_INTERVAL, total // 100))
+        self._next_check = 0
+        self._check_passed = False
         self._reported = time.monotonic()
         self._evaluations = 0
         self._stop_noted = False
         self._seen = _first_frame(run.program)
         self._began = time.monotonic(), statistics.steps
 
+    def attach(self, learner: Learner, log: Log) -> None:
+        """Whose training it follows, before it begins."""
+        self.learner, self.log = learner, log
+
     def state(self) -> CallbackState:
         return CallbackState(
-            next_beat=self._next_beat,
+            next_beat=self._next_check,
             best=self.best,
             confirmed=self.confirmed,
             solved_seen=self._solved_seen,
@@ -218,7 +209,7 @@ class TrainingCallback(BaseCallback):
         )
 
     def restore(self, state: CallbackState) -> None:
-        self._next_beat = state.next_beat
+        self._next_check = state.next_beat
         self.best = None if state.best is None else ModelRank(*state.best)
         self.confirmed, self._solved_seen, self._evaluated_at = state.confirmed, state.solved_seen, state.evaluated_at
         self.evaluator.steps = state.evaluation_steps
@@ -238,7 +229,7 @@ class TrainingCallback(BaseCallback):
     def progress(self) -> TrainingProgress:
         s = self.statistics
         stage = self.curriculum.describe(s.steps) if self.curriculum.stages else ""
-        success_rate = s.success_rate if self._has_success else None
+        success_rate = s.success_rate if self.defines_success else None
         best = self.best.mean_return if self.best else None
         return TrainingProgress(
             s.steps, self.total, s.episodes, s.mean_return, success_rate, stage, s.solved, best, s.period, self._evaluations
@@ -248,20 +239,16 @@ class TrainingCallback(BaseCallback):
         self._reported = time.monotonic()
         self.reporter.update(self.progress())
 
-    def _on_training_start(self) -> None:
-        if not self._has_success:
-            self.model.ep_success_buffer = deque(maxlen=0)  # or TensorBoard would show a success rate of 0 beside any return
-
-    def _on_step(self) -> bool:
+    def on_step(self) -> bool:
         solved = self._until_solved and self.statistics.solved_at is not None
         just_solved = solved and not self._solved_seen
-        if self.statistics.steps >= self._next_beat or just_solved:
+        if self.statistics.steps >= self._next_check or just_solved:
             self._solved_seen = solved
-            self._next_beat = self.statistics.steps + self._beat
+            self._next_check = self.statistics.steps + self._check_interval
             self._report()
             self.evaluate(UNLIMITED_SHARE if just_solved else FINAL_EVALUATION_SHARE if solved else EVALUATION_SHARE)
             self._record_scalars()
-            self._beat_passed = True
+            self._check_passed = True
         elif time.monotonic() - self._reported >= LINE_INTERVAL_S:  # in a slow world
             self._report()
         if self.interruption.requested and not self._stop_noted:
@@ -269,9 +256,9 @@ class TrainingCallback(BaseCallback):
             self.reporter.note(f"stopping after this roll-out; continue with: deepbots train --resume {quote(str(self.run.path))}")
         return not (solved and self.confirmed)
 
-    def _on_rollout_end(self) -> None:
-        if self._beat_passed:  # always False between two roll-outs of a checkpoint, which therefore does not keep it
-            self._beat_passed = False
+    def on_collected(self) -> None:
+        if self._check_passed:  # always False between two roll-outs of a checkpoint, which therefore does not keep it
+            self._check_passed = False
             self._record_policy()
 
     def evaluate(self, share: float) -> None:
@@ -279,22 +266,22 @@ class TrainingCallback(BaseCallback):
 
         Evaluations do not take more than their `share` of the steps.
         """
-        check_finite(self.model, self.run, self.statistics.steps)
+        check_finite(self.learner, self.run)
         steps, solved = self.statistics.steps, self.statistics.solved
         if not self.statistics.full or steps == self._evaluated_at or not self.evaluator.is_due(steps, self.statistics.mean_length, share):
             return
         scenario, stage = self.curriculum.scenario, self.curriculum.name
-        done = self.evaluator.run_episodes(self.model, scenario, self.interruption, stage=stage)
+        done = self.evaluator.run_episodes(self.learner, scenario, self.interruption, stage=stage)
         ends = self.statistics.solved_at is not None
-        if ends and Summary.of_episodes(done).meets_solved(solved) and isinstance(self.model, OffPolicyAlgorithm):
-            done = self.evaluator.run_episodes(self.model, scenario, self.interruption, CONFIRMATION_EPISODES, stage)
+        if ends and Summary.of_episodes(done).meets_solved(solved) and self.learner.confirms:
+            done = self.evaluator.run_episodes(self.learner, scenario, self.interruption, CONFIRMATION_EPISODES, stage)
         summary = Summary.of_episodes(done)
         self._evaluated_at = steps
         self.confirmed = ends and summary.meets_solved(solved)
         rank = ModelRank(self.confirmed, summary.meets_solved(solved), summary.mean_return)
         if self.best is None or rank >= self.best:  # of equals the later one, which has seen more
             self.best = rank
-            models.save(self.run.model("best"), self.model)
+            self.learner.save(self.run.model("best"))
         self._log(done, summary, is_best=rank == self.best)
         self._evaluations += 1
         self._report()
@@ -302,10 +289,10 @@ class TrainingCallback(BaseCallback):
             self.begin_stage()
 
     def _log(self, done: Sequence[Episode], summary: Summary, *, is_best: bool) -> None:
-        self.logger.record("eval/mean_return", summary.mean_return)
-        self.logger.record("eval/mean_length", summary.mean_length)
-        if self._has_success:
-            self.logger.record("eval/success_rate", summary.success_rate)
+        self.log.record("eval/mean_return", summary.mean_return)
+        self.log.record("eval/mean_length", summary.mean_length)
+        if self.defines_success:
+            self.log.record("eval/success_rate", summary.success_rate)
         line = {
             "steps": self.statistics.steps,
             "stage": self.curriculum.name,
@@ -319,21 +306,21 @@ class TrainingCallback(BaseCallback):
             file.write(json.dumps(line) + "\n")
 
     def _record_scalars(self) -> None:
-        """Scalars beside those of Stable-Baselines3, which writes them with its own."""
-        self.logger.record("rollout/episodes", self.statistics.episodes)
-        self.logger.record("rollout/simulated_hours", self.statistics.simulated_hours)
-        self.logger.record("time/real_time_factor", self.real_time_factor)
+        """Scalars beside those of the learner, which writes them with its own."""
+        self.log.record("rollout/episodes", self.statistics.episodes)
+        self.log.record("rollout/simulated_hours", self.statistics.simulated_hours)
+        self.log.record("time/real_time_factor", self.real_time_factor)
         curriculum = self.curriculum
         value = curriculum.value(self.statistics.steps)
         if curriculum.stages:
-            self.logger.record("curriculum/stage", curriculum.index + 1)
+            self.log.record("curriculum/stage", curriculum.index + 1)
         if curriculum.criterion is not None and value is not None:
-            self.logger.record(f"curriculum/{curriculum.criterion.metric}", value)
-            self.logger.record("curriculum/threshold", curriculum.criterion.threshold)
+            self.log.record(f"curriculum/{curriculum.criterion.metric}", value)
+            self.log.record("curriculum/threshold", curriculum.criterion.threshold)
         for name, mean in self.statistics.term_means().items():
-            self.logger.record(f"reward/{name}", mean)
+            self.log.record(f"reward/{name}", mean)
         for name, share in self.statistics.ended_by().items():
-            self.logger.record(f"ended_by/{name}", share)
+            self.log.record(f"ended_by/{name}", share)
 
     def _record_policy(self) -> None:
         """What the policy has seen and done in the last roll-out, or in the last steps of the replay buffer.
@@ -341,27 +328,21 @@ class TrainingCallback(BaseCallback):
         `saturation/NAME` is the share of observations at the ends of their range, `action/OPTION` how often an option was chosen, and
         `action/probability` the mean probability of the chosen actions.
         """
-        if isinstance(self.model, OffPolicyAlgorithm):
-            buffer: Any = self.model.replay_buffer
-            rows = np.arange(buffer.pos - min(SCALAR_WINDOW_STEPS, buffer.size()), buffer.pos) % buffer.buffer_size
-        else:
-            buffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # of OnPolicyAlgorithm
-            rows = slice(None)
-            if self.run.program.agent.choices:
-                self.logger.record("action/probability", float(np.exp(buffer.log_probs).mean()))
-        observations = buffer.observations
+        observations, actions, log_probs = self.learner.recent()
+        if log_probs is not None and self.run.program.agent.choices:
+            self.log.record("action/probability", float(np.exp(log_probs).mean()))
         if isinstance(observations, dict):
             observations = observations.get("observation")
         if observations is not None and observations.shape[-1] > max(self._seen.values(), default=0):  # not a world of the caller's
-            shares = (np.abs(observations[rows]) >= 1.0).mean(axis=(0, 1))
+            shares = (np.abs(observations) >= 1.0).mean(axis=(0, 1))
             for name, place in self._seen.items():
-                self.logger.record(f"saturation/{name}", float(shares[place]))
-        for name, share in option_shares(self.run.program, buffer.actions[rows]).items():
-            self.logger.record(f"action/{name}", share)
+                self.log.record(f"saturation/{name}", float(shares[place]))
+        for name, share in option_shares(self.run.program, actions).items():
+            self.log.record(f"action/{name}", share)
 
-    def _on_training_end(self) -> None:
+    def on_end(self) -> None:
         self._record_scalars()
-        self.logger.dump(self.num_timesteps)
+        self.log.dump(self.learner.steps)
 
 
 def _first_frame(program: Program) -> dict[str, int]:
@@ -381,26 +362,11 @@ def option_shares(program: Program, actions: npt.NDArray[Any]) -> dict[str, floa
     }
 
 
-def describe(run: Run, logger: Logger, training: Training) -> None:
-    """Write the scenario as text, and the hyperparameters as a page of TensorBoard; once for each run."""
-    known = effective_hyperparameters(run.program, training.total_timesteps)
-    values = {entry.name: entry.value if isinstance(entry.value, bool | int | float | str) else str(entry.value) for entry in known}
-    values |= {"algorithm": training.algorithm, "environments": training.environments, "seed": run.record.seed}
-    metrics = {"rollout/ep_rew_mean": 0.0, "eval/mean_return": 0.0}
-    if run.program.defines_success:
-        metrics |= {"rollout/success_rate": 0.0, "eval/success_rate": 0.0}
-    scenario = (run.path / RESOLVED_NAME).read_text(encoding="utf-8")
-    content = {"hparams": HParam(values, metrics), "scenario": "".join(f"    {line}\n" for line in scenario.splitlines())}
-    for output in logger.output_formats:
-        if isinstance(output, TensorBoardOutputFormat):
-            output.write(content, dict.fromkeys(content, ()))
-
-
-def check_finite(model: BaseAlgorithm, run: Run, steps: int) -> None:
+def check_finite(learner: Learner, run: Run) -> None:
     """Raises: RunError: A tensor of the policy holds a number that is not finite."""
-    name = models.not_finite(model)
+    name = learner.not_finite()
     if name is not None:
         raise RunError(
-            f"the training diverged: '{name}' is no longer finite after {steps:,} steps; "
+            f"the training diverged: '{name}' is no longer finite after {learner.steps:,} steps; "
             f"the last good model is kept in {run.model('last').parent}; a lower learning rate or smaller rewards may help"
         )

@@ -1,21 +1,21 @@
 """The files of a checkpoint: what `state.json` and the arrays may hold, and how they are read.
 
-A run may come from someone else, and Stable-Baselines3 does not check its state. Therefore every number has bounds here, and an array
-must have the dtype and the shape of the one that it replaces, which are compared before the array is read. Nothing is unpickled.
+A run may come from someone else, and libraries do not check the state that they are given. Therefore every number has bounds here, and
+an array must have the dtype and the shape of the one that it replaces, which are compared before the array is read. Nothing is unpickled.
 """
 
 from __future__ import annotations
 
 import math
+import os
 import struct
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from shlex import quote
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +23,7 @@ from pydantic import BaseModel, Field, NonNegativeInt, model_validator
 
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import DeepbotsError, RunError
-from deepbots_cli.learning.callbacks import MAX_BEAT, CallbackState
+from deepbots_cli.learning.callbacks import MAX_CHECK_INTERVAL, CallbackState
 from deepbots_cli.learning.curriculum import CurriculumState
 from deepbots_cli.learning.episodes import StatisticsState
 from deepbots_cli.learning.run import Run, read_json
@@ -47,11 +47,11 @@ LongWord = Annotated[int, Field(ge=0, lt=2**128)]
 Place = Annotated[int, Field(ge=0, le=_WORDS)]
 
 
-class _Part(BaseModel, strict=True, extra="forbid", allow_inf_nan=False):
+class CheckpointPart(BaseModel, strict=True, extra="forbid", allow_inf_nan=False):
     """Base of the models of a checkpoint."""
 
 
-class NumpyScalar(_Part):
+class NumpyScalar(CheckpointPart):
     """A number with its type in numpy: the mean of float32 is not that of float64. JSON has no NaN, which is None."""
 
     dtype: Literal["bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float16", "float32", "float64"]
@@ -70,14 +70,16 @@ class NumpyScalar(_Part):
 
 
 Number = int | float | NumpyScalar
+Pending = tuple[dict[Text, bool | Number | str | None], dict[Text, Count], dict[Text, list[Text]]]
+"""What was recorded for the log and is not yet written: values, their numbers, and where they are left out."""
 
 
-class _GeneratorWords(_Part):
+class _GeneratorWords(CheckpointPart):
     state: LongWord
     inc: LongWord
 
 
-class GeneratorState(_Part):
+class GeneratorState(CheckpointPart):
     """The state of a generator PCG64 of numpy, in the words of numpy."""
 
     bit_generator: Literal["PCG64"]
@@ -86,7 +88,7 @@ class GeneratorState(_Part):
     uinteger: Word
 
 
-class StreamsState(_Part):
+class StreamsState(CheckpointPart):
     """The random generators of a world (`Supervisor.random_state`), and those of each copy of a robot in it."""
 
     root: Annotated[int, Field(ge=0, lt=2**64)]
@@ -94,18 +96,7 @@ class StreamsState(_Part):
     agents: Annotated[list[StreamsState], Field(max_length=_MAX_WORLDS)] | None = None
 
 
-class EpisodeInfo(_Part):
-    """Return and length of an episode, as Stable-Baselines3 keeps them."""
-
-    r: Number
-    l: Number  # noqa: E741  # the name of Stable-Baselines3
-
-
-CounterName = Literal["num_timesteps", "_episode_num", "_n_updates", "_n_calls", "_current_progress_remaining", "exploration_rate"]
-"""Counters of Stable-Baselines3; each algorithm has some of them."""
-
-
-class CheckpointState(_Part):
+class CheckpointState(CheckpointPart):
     """The part of a checkpoint that is JSON."""
 
     digest: Text
@@ -120,18 +111,9 @@ class CheckpointState(_Part):
     """How the running episode of each world began: its seed, or the states of its random generators."""
     observed: Text
     """The fingerprint of the last observations."""
-    counts: dict[CounterName, Count | float]
-    infos: list[EpisodeInfo]
-    successes: list[bool]
-    pending: tuple[dict[Text, bool | Number | str | None], dict[Text, Count], dict[Text, list[Text]]]
-    """What was recorded for the logger and is not yet written: values, their numbers, and where they are left out."""
-    action_space: GeneratorState
+    pending: Pending
     python: tuple[Literal[3], Annotated[list[Word], Field(min_length=_WORDS + 1, max_length=_WORDS + 1)], float | None]
     numpy: tuple[Place, Bit, float]
-    segments: Annotated[list[tuple[Count, Count]], Field(max_length=1_000_000)]
-    """First and last step (of a row of the environment) of each file of the replay buffer."""
-    replay: tuple[Count, Count]
-    """The size of the replay buffer, and the step in its first row."""
     logs: dict[Text, Count]
     """Bytes of each log."""
     inexact: Annotated[list[Text], Field(max_length=1_000)]
@@ -143,16 +125,16 @@ class CheckpointState(_Part):
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> Self:
         steps, found = self.steps, self.statistics
-        places = [self.callback.evaluated_at, self.callback.next_beat - MAX_BEAT, self.curriculum.first_step]
+        places = [self.callback.evaluated_at, self.callback.next_beat - MAX_CHECK_INTERVAL, self.curriculum.first_step]
         places += [found.episodes, *(stage.steps for stage in self.curriculum.ends), *([found.solved_at.steps] if found.solved_at else [])]
-        if self.counts.get("num_timesteps") != steps or max(places) > steps:
+        if max(places) > steps:
             raise ValueError("its counts of steps contradict each other")
         if len(self.stages) != len(self.starts):
             raise ValueError("its counts of worlds contradict each other")
-        gaps = any(before[1] != after[0] for before, after in pairwise(self.segments))
-        if gaps or any(first >= last or last > steps for first, last in self.segments) or self.replay[1] > steps:
-            raise ValueError("the segments of its replay buffer contradict each other")
         return self
+
+
+S = TypeVar("S", bound=CheckpointState)
 
 
 def latest_checkpoint(run: Run) -> Path | None:
@@ -161,9 +143,9 @@ def latest_checkpoint(run: Run) -> Path | None:
     return max((path for path in folders if len(path.name) == 12 and path.name.isdecimal() and path.name.isascii()), default=None)
 
 
-def read_state(folder: Path) -> CheckpointState:
+def read_state(folder: Path, model: type[S]) -> S:
     """Raises: RunError: The checkpoint is damaged."""
-    state = read_json(folder / "state.json", CheckpointState, _MAX_STATE_BYTES)
+    state = read_json(folder / "state.json", model, _MAX_STATE_BYTES)
     if state.steps != int(folder.name):
         raise RunError(f"{folder} is damaged: it was taken after {state.steps:,} steps")
     return state
@@ -215,15 +197,18 @@ class ArraySpec:
         return dtype.kind in "biuf" and dtype.itemsize <= 8 and (is_empty or (shape[0:1] <= (self.max_rows,) and shape[1:] == self.shape))
 
 
-def write_arrays(path: Path, arrays: Arrays) -> None:
+def write_arrays(path: Path, arrays: Arrays, data: str = "") -> None:
+    """Write an uncompressed `.npz`, with a member `data` where there is such a text."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
+        if data:
+            archive.writestr("data", data)
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, np.asarray(array, order="C"), version=(1, 0), allow_pickle=False)
 
 
-def read_arrays(path: Path, specs: Mapping[str, ArraySpec]) -> dict[str, Array]:
-    """The arrays of an uncompressed `.npz`, which are those of `specs`; all numbers are finite.
+def read_arrays(path: Path, specs: Mapping[str, ArraySpec], others: Sequence[str] = ()) -> dict[str, Array]:
+    """The arrays of an uncompressed `.npz`, which are those of `specs`; all numbers are finite. Members in `others` are not read.
 
     Raises:
         RunError: The file is missing, damaged, or holds anything else.
@@ -234,7 +219,7 @@ def read_arrays(path: Path, specs: Mapping[str, ArraySpec]) -> dict[str, Array]:
         if path.stat().st_size > _OVERHEAD_BYTES + sum(spec.max_bytes + 1_000 for spec in specs.values()):
             raise ValueError("it is larger than what it should hold")
         with zipfile.ZipFile(path) as archive:
-            members = archive.infolist()
+            members = [member for member in archive.infolist() if member.filename not in others]
             if sum(member.file_size for member in members) > path.stat().st_size or any(m.compress_type for m in members):
                 raise ValueError("it is compressed")
             found = {name: _read_array(archive, member, specs.get(name)) for member in members for name in [_array_name(member)]}
@@ -277,3 +262,18 @@ def check_torch_generator(state: Array) -> None:
     left, following = struct.unpack_from("<i4xQ", state.tobytes(), 8)
     if left + following not in (1, _WORDS + 1):  # 1 after a seed
         raise ValueError("the state of the generator of torch is impossible")
+
+
+def flush_to_disk(path: Path) -> None:
+    """Have the system write a file or folder to the disk, for a power cut."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def check_actions(actions: Array, space: Any) -> None:
+    """Refuse a choice that the agent does not have, on which an update would fail."""
+    if hasattr(space, "n") and not ((actions >= space.start) & (actions < space.start + space.n)).all():
+        raise ValueError("it holds actions that the scenario does not have")

@@ -15,11 +15,12 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.episodes import Interval
-from deepbots_cli.learning.evaluation import EvaluationResult, StopCondition, evaluate
+from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.run import ModelName, Run, run_folders
 from deepbots_cli.learning.statistics import Difference, compare_episodes, compare_seeds, interquartile_mean, mean_interval
 from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.policies import StopCondition
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 from deepbots_cli.scenario import Scenario
 

@@ -1,60 +1,41 @@
-"""Evaluation: a trained policy on held-out episodes, with intervals and a verdict.
-
-Several worlds run at a time, singly or as a batch, with results that do not depend on how many. A matrix product may round a row
-otherwise when it stands in another place or among another number of rows, and a rounding is enough to tip an action. Every forward
-pass therefore has the same number of rows, and episode k always sits in row k mod ROWS; what the other rows hold does not touch it.
-This, and the same starts for every policy, is what `evaluate_policy` of Stable-Baselines3 cannot do.
-"""
+"""Evaluation: a trained policy on held-out episodes, with intervals and a verdict."""
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
-import torch
-from numpy.typing import NDArray
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.policies import ActorCriticPolicy
 
 from deepbots_cli import api
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.api import Compiled, build_batch
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.learning import batch, video
-from deepbots_cli.learning.environments import VectorEnvironment, World, WorldFactory, default_factory, has_copies
+from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.learning import learner, video
+from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch, supervisor_factory
 from deepbots_cli.learning.episodes import UNBOUNDED, DrawnBin, Summary, by_drawn_value, statistics_of
 from deepbots_cli.learning.failures import FailureRecorder
+from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.run import ModelName, Run, in_parentheses, remark_on_episodes
-from deepbots_cli.learning.sb3 import algorithms, models
+from deepbots_cli.learning.sb3.algorithms import torch_settings
 from deepbots_cli.learning.verdict import circumstances, solved_verdict
 from deepbots_cli.program import Program, identity
-from deepbots_cli.rollout import Driver, Episode, EpisodeAccumulator, Start, Step, play, steps
+from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import RANDOM, ZERO, named_driver
-from deepbots_cli.runtime.batch import BatchSupervisor
+from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE, OnEpisode, StopCondition, play_batch, play_episodes
+from deepbots_cli.rollout.worlds import has_copies
+from deepbots_cli.runtime.spaces import action_space, observation_space
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
 
-ROWS_PER_PASS = 8
-"""A forward pass of a small policy takes about 0.1 ms for any number of rows up to 16; more worlds than 8 gain little."""
-
 MAX_BATCH_WORLDS = 32
 """Worlds of a batch. What a batch does per step over arrays takes as long as 5 single worlds; those that end early rest at the end."""
-
-OnEpisode = Callable[[int, int], None]
-"""Is told after each episode how many are done, and of how many."""
-
-
-StopCondition = Callable[[Sequence[Episode]], bool]
-"""Whether the first episodes of an evaluation are enough."""
 
 
 @dataclass(frozen=True)
@@ -166,28 +147,28 @@ def evaluate(
     if video_to is not None:
         video.check_video_path(video_to, force=force)
     engine = engine or known.engine_for(program)
-    make = build or default_factory(engine, permissions=permissions)
+    make = build or supervisor_factory(engine, permissions=permissions)
     seeds = [derive_seed(root, "evaluation", k) for k in range(count)]
-    with algorithms.torch_settings(), ExitStack() as stack:
+    with torch_settings(), ExitStack() as stack:
         done: list[Episode] | None = None
         together = min(count, MAX_BATCH_WORLDS)
-        if deterministic and copies is None and not batch.reasons_against_batch(program, together, engine, make):
+        if deterministic and copies is None and not reasons_against_batch(program, together, engine, make):
             many = stack.enter_context(closing(build_batch(program, together, engine=engine)))
             policy = load_model(known, model, many.singles[0])
-            done = batch_rollout(policy, many, seeds, on_episode=on_episode, until=until)
+            done = play_batch(policy, many, seeds, on_episode=on_episode, until=until)
         if done is None:
             worlds = []
-            for _ in range(min(count, max(1, min(copies or ROWS_PER_PASS, ROWS_PER_PASS)) if deterministic else 1)):
+            for _ in range(min(count, max(1, min(copies or FORWARD_BATCH_SIZE, FORWARD_BATCH_SIZE)) if deterministic else 1)):
                 worlds.append(
                     FailureRecorder(make(program), known if scenario is None else None, program, seeds=seeds, case=case, stage=stage)
                 )
                 stack.callback(worlds[-1].close)
             policy = load_model(known, model, worlds[0])
-            done = rollout(policy, worlds, seeds, deterministic=deterministic, on_episode=on_episode, until=until)
+            done = play_episodes(policy, worlds, seeds, deterministic=deterministic, on_episode=on_episode, until=until)
         if video_to is not None:
             world = stack.enter_context(closing(make(program, render_mode="rgb_array")))
             filmed = stack.enter_context(video.recording_video(world, video_to, program.period))
-            rollout(policy, [filmed], seeds[:1], deterministic=deterministic)
+            play_episodes(policy, [filmed], seeds[:1], deterministic=deterministic)
     where: dict[str, Any] = {"case": case, "stage": stage, "seed": root, "planned": count, "video": video_to}
     return _result(known, judged, program, model, done, engine=None if build else engine, deterministic=deterministic, **where)
 
@@ -215,7 +196,7 @@ def evaluate_baselines(
     program, count, root = _evaluation_settings(known, episodes, seed, judged, case, stage)
     results = []
     engine = engine or known.engine_for(program)
-    with closing((build or default_factory(engine, permissions=permissions))(program)) as world:
+    with closing((build or supervisor_factory(engine, permissions=permissions))(program)) as world:
         scripts = {f"script {script.name}": script.name for script in program.agent.scripts}
         for name, driver in {RANDOM: RANDOM, ZERO: ZERO, **scripts}.items():
             done = []
@@ -242,7 +223,7 @@ def evaluate_cases(
     return (*cases, *(evaluate(known, scenario=judged, stage=stage.name, **options) for stage in program.curriculum if stages))
 
 
-def load_model(run: Run, name: ModelName, world: World) -> BaseAlgorithm:
+def load_model(run: Run, name: ModelName, world: gym.Env[Any, Any] | None = None) -> Learner:
     """The model of a run, rebuilt from its scenario for the spaces of `world`, with the weights of `models/agent/<name>.zip`.
 
     Raises:
@@ -251,12 +232,15 @@ def load_model(run: Run, name: ModelName, world: World) -> BaseAlgorithm:
     training = run.program.agent.training
     if training is None:
         raise RunError(f"{run.path} holds a scenario without a 'train' section")
-    algorithms.check(training)
-    spaces = VectorEnvironment([world], [0])
-    model = algorithms.create(training, spaces, seed=0, total_timesteps=1, to_learn=False, mixin=models.FinitePredictions)
-    models.load(run.model(name), model)
-    model.policy.set_training_mode(False)
-    return model
+    agent = None if world is None else next(iter(world.get_wrapper_attr("agents").values())) if has_copies(world) else world
+    spaces = (
+        (observation_space(run.program.agent), action_space(run.program.agent))
+        if agent is None
+        else (agent.observation_space, agent.action_space)
+    )
+    found = learner.create(Setup(training, *spaces))
+    found.load(run.model(name))
+    return found
 
 
 def _require_same_interface(run: Run, program: Program) -> Program:
@@ -343,270 +327,3 @@ def _elsewhere(run: Run, judged: Compiled, engine: str | None) -> tuple[str | No
     name = judged.source.name if judged.source.name != RESOLVED_NAME else f"{judged.source.parent.name}/{RESOLVED_NAME}"
     others = tuple(text for text in judged.overrides if text != f"world.engine={engine}")
     return None if own else name, others or (judged.overrides if engine == run.record.engine else ())
-
-
-# Episodes of a policy
-
-
-def rollout(
-    model: BaseAlgorithm,
-    worlds: Sequence[World],
-    seeds: Sequence[int],
-    *,
-    deterministic: bool,
-    on_episode: OnEpisode | None = None,
-    until: StopCondition | None = None,
-) -> list[Episode]:
-    """One episode from each seed, in the order of `seeds`; uses up to ROWS of the worlds, a sampling policy or a team only one.
-
-    With `until`, the episodes end with the first one after which it returns True. Episodes count in the order of their seeds, so the result
-    is the same for any number of worlds.
-    """
-    on_episode = on_episode or (lambda done, of: None)
-    until = until or (lambda episodes: False)
-    episodes: list[Episode] = []
-    if has_copies(worlds[0]):
-        driver = PolicyDriver(model, worlds[0], deterministic=deterministic)
-        for seed in seeds:
-            episodes.append(play(worlds[0], driver, Start(seed)))
-            on_episode(len(episodes), len(seeds))
-            if until(episodes):
-                break
-        return episodes
-    together = min(len(worlds), ROWS_PER_PASS) if deterministic else 1
-    forward = ForwardPass(worlds[0].observation_space, _choices(worlds[0]) if algorithms.takes_masks(model) else None)
-    finished: dict[int, Episode] = {}
-    for first in range(0, min(ROWS_PER_PASS, len(seeds)), together):
-        rows = range(first, min(first + together, ROWS_PER_PASS, len(seeds)))
-        lanes = [EvaluationLane(world, row, range(row, len(seeds), ROWS_PER_PASS), seeds) for world, row in zip(worlds, rows, strict=False)]
-        running = [lane for lane in lanes if lane.begin(forward)]
-        while running:
-            actions = forward.predict(model, deterministic=deterministic)
-            for lane in running:
-                episode = lane.step(actions[lane.row], forward)
-                if episode is not None:
-                    finished[lane.number] = episode
-                    on_episode(len(finished), len(seeds))
-            while (following := finished.get(len(episodes))) is not None:
-                episodes.append(following)
-                if until(episodes):
-                    return episodes
-            running = [lane for lane in running if lane.number not in finished or lane.begin(forward)]
-    return episodes
-
-
-def batch_rollout(
-    model: BaseAlgorithm,
-    worlds: BatchSupervisor,
-    seeds: Sequence[int],
-    *,
-    on_episode: OnEpisode | None = None,
-    until: StopCondition | None = None,
-) -> list[Episode] | None:
-    """The episodes of `rollout` in a batch of worlds, with the likeliest actions; there are at least as many seeds as worlds.
-
-    World i sits in row i mod ROWS of one of several forward passes, and goes through episodes that sit in the same row of `rollout`.
-
-    Returns:
-        The same as `rollout`. None if a world fails: `rollout` then says where, and keeps its episode.
-    """
-    on_episode = on_episode or (lambda done, of: None)
-    until = until or (lambda episodes: False)
-    count = worlds.count
-    passes = [ForwardPass(worlds.observation_space, None) for _ in range(0, count, ROWS_PER_PASS)]
-    waiting = [deque(range(count + (row - count) % ROWS_PER_PASS, len(seeds), ROWS_PER_PASS)) for row in range(ROWS_PER_PASS)]
-    numbers, resting = list(range(count)), np.zeros(count, bool)
-    sums = batch.BatchEpisodeAccumulator(worlds)
-    finished: dict[int, Episode] = {}
-    episodes: list[Episode] = []
-    answers: list[Any] = [None] * len(passes)
-    lost = len(worlds.losses)
-    try:
-        seen = worlds.reset(seeds[:count])
-        drawn = [single.drawn() for single in worlds.singles]
-        while not resting.all():
-            for place, forward in enumerate(passes):
-                those = slice(place * ROWS_PER_PASS, min(count, (place + 1) * ROWS_PER_PASS))
-                if answers[place] is None or not resting[those].all():
-                    forward.put_all(seen, those)
-                    answers[place] = forward.predict(model, deterministic=True)
-            outcome = worlds.advance(np.concatenate(answers)[:count], resting if resting.any() else None)
-            if len(worlds.losses) > lost:
-                return None
-            sums.add(outcome.rewards, outcome.terms, ~resting)
-            begun = []
-            for place, world in enumerate(outcome.done.tolist()):
-                number, row = numbers[world], world % ROWS_PER_PASS
-                finished[number] = sums.close(world, outcome.infos[place], seeds[number], drawn[world])
-                on_episode(len(finished), len(seeds))
-                if waiting[row]:
-                    numbers[world] = waiting[row].popleft()
-                    passes[world // ROWS_PER_PASS].starts[row] = True
-                    begun.append(world)
-                else:
-                    resting[world] = True
-            while (following := finished.get(len(episodes))) is not None:
-                episodes.append(following)
-                if until(episodes):
-                    return episodes
-            if begun:
-                worlds.begin(begun, [seeds[numbers[world]] for world in begun])
-                for world in begun:
-                    drawn[world] = worlds.singles[world].drawn()
-            seen = worlds.observations() if begun else outcome.observations
-    except DeepbotsError:
-        return None
-    return episodes
-
-
-class PolicyDriver(Driver):
-    """The policy of a model.
-
-    In an episode with a number, the actions are to the bit those of the episode of this number in an evaluation. For copies of a robot
-    they always are: each forward pass has a row for each copy.
-
-    Args:
-        rows: The number of worlds of a batch like `world`, whose episodes go on together.
-    """
-
-    def __init__(self, model: BaseAlgorithm, world: World, *, deterministic: bool = True, rows: int = 0) -> None:
-        self._model, self._world, self._deterministic = model, world, deterministic
-        self._size = rows or (len(world.get_wrapper_attr("agents")) if has_copies(world) else 0)
-        self._takes_masks = algorithms.takes_masks(model) and not rows and world.has_wrapper_attr("action_masks")
-        self._forward: ForwardPass | None = None
-        self._row, self._starts = 0, np.ones(self._size or 1, bool)
-        self._memory: Any = None
-
-    def begin(self, start: Start) -> None:
-        if start.seed is not None:  # only a policy that samples draws from it
-            torch.manual_seed(derive_seed(start.seed, "policy"))
-        self._memory, self._starts[:], self._forward = None, True, None
-        if start.number is not None and not self._size:
-            self._row = start.number % ROWS_PER_PASS
-            self._forward = ForwardPass(self._world.observation_space, _choices(self._world) if self._takes_masks else None)
-
-    def act(self, observation: Any) -> Any:
-        if self._forward is not None:
-            self._forward.put(self._row, observation, self._world)
-            return self._forward.predict(self._model, deterministic=self._deterministic)[self._row]
-        allowed = self._world.get_wrapper_attr("action_masks")() if self._takes_masks else None
-        masks = {} if allowed is None else {"action_masks": allowed.reshape(self._size, -1) if self._size else allowed}
-        action, self._memory = self._model.predict(
-            observation, state=self._memory, episode_start=self._starts, deterministic=self._deterministic, **masks
-        )
-        self._starts = np.zeros_like(self._starts)
-        return action
-
-
-class ForwardPass:
-    """The observations of one forward pass; rows of worlds that do not run keep what they last held.
-
-    If the policy takes action masks, `masks` holds which of the `choices` of each row are allowed. A recurrent policy
-    has a `memory` for each row, which it forgets where `starts` says that an episode begins.
-    """
-
-    def __init__(self, space: gym.Space[Any], choices: int | None) -> None:
-        self.memory: Any = None
-        self.starts = np.ones(ROWS_PER_PASS, dtype=bool)
-        self.masks: dict[str, Any] = {} if choices is None else {"action_masks": np.ones((ROWS_PER_PASS, choices), dtype=bool)}
-        self.observations: Any = (
-            {key: _zeros(part) for key, part in space.spaces.items()} if isinstance(space, gym.spaces.Dict) else _zeros(space)
-        )
-
-    def predict(self, model: BaseAlgorithm, *, deterministic: bool) -> Any:
-        """An action for each row."""
-        actions, self.memory = model.predict(
-            self.observations, state=self.memory, episode_start=self.starts, deterministic=deterministic, **self.masks
-        )
-        self.starts[:] = False
-        return actions
-
-    def put_all(self, observations: Any, worlds: slice) -> None:
-        """Take the rows of these worlds of a batch, the first as the first row."""
-        count = worlds.stop - worlds.start
-        if isinstance(self.observations, dict):
-            for key, rows in self.observations.items():
-                rows[:count] = observations[key][worlds]
-        else:
-            self.observations[:count] = observations[worlds]
-
-    def put(self, row: int, observation: Any, world: World) -> None:
-        for masks in self.masks.values():
-            masks[row] = world.get_wrapper_attr("action_masks")()
-        if isinstance(self.observations, dict):
-            for key, rows in self.observations.items():
-                rows[row] = observation[key]
-        else:
-            self.observations[row] = observation
-
-
-def _choices(world: World) -> int | None:
-    """How many options the agent has, over all parts of its action; None where the world forbids none."""
-    if not world.has_wrapper_attr("action_masks"):
-        return None
-    space: Any = world.action_space
-    return int(space.n) if isinstance(space, gym.spaces.Discrete) else int(space.nvec.sum())
-
-
-def _zeros(space: gym.Space[Any]) -> np.ndarray[Any, np.dtype[Any]]:
-    return np.zeros((ROWS_PER_PASS, *(space.shape or ())), dtype=space.dtype)
-
-
-class EvaluationLane:
-    """One world that goes through its episodes `numbers`, in one row of a forward pass."""
-
-    def __init__(self, world: World, row: int, numbers: Iterable[int], seeds: Sequence[int]) -> None:
-        self.row = row
-        self.number = row
-        self._world = world
-        self._episode_numbers = iter(numbers)
-        self._seeds = seeds
-        self._accumulator = EpisodeAccumulator()
-        self._action: Any = None
-        self._steps: Iterator[Step] = iter(())
-
-    def begin(self, forward: ForwardPass) -> bool:
-        """Start the next episode; whether there was one."""
-        number = next(self._episode_numbers, None)
-        if number is None:
-            return False
-        self.number = number
-        seed = self._seeds[number]
-        torch.manual_seed(derive_seed(seed, "policy"))  # only a policy that samples draws from it
-        forward.starts[self.row] = True
-        self._steps = steps(self._world, Driver(lambda _: self._action), Start(seed))
-        first = next(self._steps)
-        self._accumulator.begin(seed, first.info)
-        forward.put(self.row, first.observation, self._world)
-        return True
-
-    def step(self, action: Any, forward: ForwardPass) -> Episode | None:
-        """The episode, if this step was its last."""
-        self._action = action
-        step = next(self._steps)
-        self._accumulator.add(step.reward, step.info)
-        forward.put(self.row, step.observation, self._world)
-        return self._accumulator.close(step.info) if step.is_last else None
-
-
-def critic_values(model: Any, observations: Sequence[Any]) -> NDArray[np.float64] | None:
-    """The critic's value of each observation: V, or Q of the action of the policy, the smaller one of two critics.
-
-    None for a policy without a network of torch, or with a memory.
-    """
-    policy = model.policy
-    if not observations or hasattr(policy, "lstm_actor") or next(policy.parameters(), None) is None:
-        return None
-    parts = observations[0].keys() if isinstance(observations[0], dict) else None
-    stacked = {key: np.stack([each[key] for each in observations]) for key in parts} if parts else np.stack(observations)
-    with torch.no_grad():
-        seen, _ = policy.obs_to_tensor(stacked)
-        if isinstance(policy, ActorCriticPolicy):
-            values = policy.predict_values(seen).reshape(len(observations), -1)
-        elif hasattr(policy, "q_net"):
-            values = policy.q_net(seen).max(dim=1, keepdim=True).values
-        else:
-            found = policy.critic(seen, policy._predict(seen, deterministic=True))  # the actor of SAC and TQC would sample
-            # TQC has an array of quantiles (rows, critics, quantiles), others a tuple of columns.
-            values = found.mean(dim=2) if isinstance(found, torch.Tensor) else torch.cat(found, dim=1)
-        return np.asarray(values.min(dim=1).values.cpu().numpy(), float)

@@ -31,7 +31,8 @@ from deepbots_cli.learning.run import Run, read_json, write_numbered
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import sequence_driver
-from deepbots_cli.rollout.episode import random_state, set_random_state
+from deepbots_cli.rollout.episode import set_random_state
+from deepbots_cli.rollout.worlds import HistoryRecorder
 from deepbots_cli.runtime.batch import EpisodeHistory, LostWorld
 
 FAILURES_FOLDER = "failures"
@@ -57,7 +58,7 @@ class Failure(BaseModel, strict=True):
     actions: list[Any]
 
 
-class FailureRecorder(gym.Wrapper[Any, Any, Any, Any]):
+class FailureRecorder(HistoryRecorder):
     """A world with the `history` of its running episode, whose failures name field or term, step, episode and seed.
 
     A failure is an error of the world, a reward that is not finite, or an observation that is not finite.
@@ -84,24 +85,21 @@ class FailureRecorder(gym.Wrapper[Any, Any, Any, Any]):
         stage: str | None = None,
     ) -> None:
         super().__init__(world)
-        self.history = EpisodeHistory(0, [])
         self._run, self._program, self._seeds, self._episode = run, program, seeds, episode
         self._case, self._stage = case, stage
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        self.history = EpisodeHistory(random_state(self.env) if seed is None else seed, [])
         try:
-            observation, info = self.env.reset(seed=seed, options=options)
+            observation, info = super().reset(seed=seed, options=options)
         except DeepbotsError as error:
             self._fail(error)
         if not is_finite(observation):
             self._fail(EvaluationError(f"at reset {self._name(observation)} is not finite"))
         return observation, info
 
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        self.history.actions.append(action)
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         try:
-            outcome = self.env.step(action)
+            outcome = super().step(action)
         except DeepbotsError as error:
             self._fail(error)
         if not math.isfinite(outcome[1]):

@@ -5,7 +5,7 @@
     ├── inputs/, resolved.yaml   the scenario, from which seeds that have not begun are trained
     └── seed-0/, seed-1/ ... the runs
 
-The seeds are trained one after the other. Importing this module loads neither torch nor Stable-Baselines3.
+The seeds are trained one after the other. Importing this module does not load torch.
 """
 
 from __future__ import annotations

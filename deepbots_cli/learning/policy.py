@@ -9,15 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import torch
-from stable_baselines3.common.base_class import BaseAlgorithm
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning import evaluation
+from deepbots_cli.learning.evaluation import load_model
+from deepbots_cli.learning.learner import Learner
 from deepbots_cli.learning.run import ModelName, Run
-from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime.observing import Observer
@@ -48,7 +46,7 @@ class Policy:
         action: The parts of the action, in order.
     """
 
-    def __init__(self, program: Program, model: BaseAlgorithm) -> None:
+    def __init__(self, program: Program, model: Learner) -> None:
         self.scenario = program.name
         self.observation_space, self.action_space = observation_space(program.agent), action_space(program.agent)
         self.observation = program.agent.inputs
@@ -57,7 +55,6 @@ class Policy:
         self.values = self._observer.values
         self.action = tuple(value for part in program.agent.action for value in _values(part))
         self._model = model
-        self._takes_masks = algorithms.takes_masks(model)
         self.reset()
 
     def reset(self) -> None:
@@ -80,11 +77,9 @@ class Policy:
             UsageError: The observation holds a value that is not finite.
         """
         self._require_finite(observation)
-        masks = {"action_masks": action_mask} if self._takes_masks else {}
+        masks = action_mask if self._model.takes_masks else None
         rows = len(observation) if np.ndim(observation) > 1 and not isinstance(observation, dict) else 1
-        action, self._memory = self._model.predict(
-            observation, state=self._memory, episode_start=np.full(rows, self._begins), deterministic=deterministic, **masks
-        )
+        action, self._memory = self._model.predict(observation, self._memory, np.full(rows, self._begins), deterministic, masks)
         self._begins = False
         return action
 
@@ -141,21 +136,14 @@ def load_policy(run: str | Path, *, model: ModelName = "best") -> Policy:
     return Policy(known.program, loaded(known, model))
 
 
-def loaded(run: Run, model: ModelName) -> BaseAlgorithm:
+def loaded(run: Run, model: ModelName) -> Learner:
     """The model of a run without a world; the random generators of the caller stay as they are.
 
     Raises:
         RunError: There is no such model, or it is damaged.
     """
     with _generators_kept():
-        return evaluation.load_model(run, model, _Spaces(run.program))
-
-
-class _Spaces(gym.Env[Any, Any]):
-    """The spaces of a scenario, without a world."""
-
-    def __init__(self, program: Program) -> None:
-        self.observation_space, self.action_space = observation_space(program.agent), action_space(program.agent)
+        return load_model(run, model)
 
 
 def _values(part: Choices | ActionRange) -> list[ActionValue]:
@@ -166,7 +154,7 @@ def _values(part: Choices | ActionRange) -> list[ActionValue]:
 
 @contextmanager
 def _generators_kept() -> Iterator[None]:
-    """Stable-Baselines3 seeds the global generators when it makes a model."""
+    """A library may seed the global generators when it makes a model."""
     python, legacy = random.getstate(), np.random.get_state()
     with torch.random.fork_rng():
         yield

@@ -7,7 +7,7 @@
     ├── environment.py       the generated code, to read; it is never run from here
     ├── monitor.csv          a line per episode
     ├── tensorboard/
-    ├── models/agent/        best.zip, last.zip: models of Stable-Baselines3; step-000020000.zip with --keep-checkpoints
+    ├── models/agent/        best.zip, last.zip: models of the learner; step-000020000.zip with --keep-checkpoints
     ├── evaluations/         training.jsonl, and a file for each later evaluation, with its episodes
     ├── logs/                what callbacks and loggers append
     └── checkpoints/         what a resumed training goes on from
@@ -277,17 +277,14 @@ class Run:
 
     @staticmethod
     def create(path: Path, record: RunRecord, compiled: Compiled) -> Run:
-        """Fill a new, empty directory (see `new_directory`), and open it, so that a run that could not be loaded is not trained either.
-
-        If this fails, the directory is removed.
-        """
+        """Fill a new, empty directory (see `new_directory`). If this fails, the directory is removed."""
         try:
             for folder in (*(f"models/{name}" for name in compiled.program.agents), "tensorboard", "evaluations", "checkpoints"):
                 (path / folder).mkdir(parents=True)
             write_copies(path, compiled.resolved, compiled.inputs)
             write_text(path / "environment.py", compiled.code)
             write_record(path, record)
-            return Run.open(path)
+            return Run(path, record, compiled)
         except BaseException as error:  # also Ctrl-C: half a directory is no run, and would stand in the way of the next one
             shutil.rmtree(path, ignore_errors=True)
             if isinstance(error, OSError):

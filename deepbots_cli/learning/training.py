@@ -16,25 +16,21 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
-from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
-from stable_baselines3.common.vec_env import VecEnv, VecNormalize
-
 import deepbots_cli
 from deepbots_cli import api, engine_kinds
 from deepbots_cli.api import Compiled, build_batch
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, PluginError, RunError, UsageError
 from deepbots_cli.files import unwritable_message
-from deepbots_cli.learning import batch
-from deepbots_cli.learning.callbacks import UNLIMITED_SHARE, Evaluator, TrainingCallback, check_finite, describe, signals_handled
+from deepbots_cli.learning import learner as learners
+from deepbots_cli.learning.callbacks import UNLIMITED_SHARE, Evaluator, TrainingCallback, check_finite, signals_handled
 from deepbots_cli.learning.checkpoint_files import damage_explained, latest_checkpoint
-from deepbots_cli.learning.checkpoints import Checkpoints, ResumableAlgorithm
+from deepbots_cli.learning.checkpoints import Checkpoints
 from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.environments import VectorEnvironment, World, WorldFactory, default_factory
+from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch, stepping_text, supervisor_factory
 from deepbots_cli.learning.episodes import MAX_STEPS, EpisodeLog, Statistics
 from deepbots_cli.learning.failures import BatchFailureRecorder, FailureRecorder
+from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.report import Reporter, reporter
 from deepbots_cli.learning.run import (
     FORMAT,
@@ -49,12 +45,15 @@ from deepbots_cli.learning.run import (
     versions,
     write_record,
 )
-from deepbots_cli.learning.sb3 import algorithms, models, plugins
+from deepbots_cli.learning.sb3 import algorithms, plugins
 from deepbots_cli.learning.sb3.defaults import longest_episode
+from deepbots_cli.learning.sb3.logs import TrainingLog
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.collector import LocalCollector
 from deepbots_cli.rollout.source import Source, SourceKind
+from deepbots_cli.rollout.worlds import BatchWorlds, Worlds
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
@@ -114,7 +113,7 @@ def train(
     if not 0 <= keep_checkpoints <= 10_000:
         raise UsageError(f"{keep_checkpoints} checkpoints cannot be kept; from 0 to 10000 are possible")
     engine = engine_kinds.chosen(engine or compiled.program.engine)
-    build = build or default_factory(engine, permissions=compiled.permissions)
+    build = build or supervisor_factory(engine, permissions=compiled.permissions)
     Curriculum(compiled.program, stage)
     plugins.check(callbacks, loggers)
     source = None if initialize_from is None else Run.open(initialize_from)
@@ -153,7 +152,7 @@ def train(
         if source is not None:
             shutil.copyfile(source.model("best"), _initial(new))
         on_start(path)
-        return _learn(new, training, Checkpoints(new), build, reporter(progress))
+        return run_training(new, training, _checkpoints(new, training), build, reporter(progress))
 
 
 def resume(
@@ -202,7 +201,7 @@ def resume(
         training = _training_of(known.program, record.total_timesteps if total_timesteps is None else total_timesteps)
         if latest_checkpoint(known) is None and (record.status == "finished" or _has_learned(known)):
             raise RunError(f"{known.checkpoints} contains no checkpoint to continue from")
-        checkpoints = Checkpoints(known)
+        checkpoints = _checkpoints(known, training)
         steps = checkpoints.state.statistics.steps if checkpoints.state else 0
         if set(callbacks) != set(record.callbacks):
             before, since = (", ".join(names) or "none" for names in (record.callbacks, callbacks))
@@ -222,8 +221,8 @@ def resume(
             "loggers": tuple(loggers),
         }
         known.record = record.model_copy(update=changes)  # written once the checkpoint is restored
-        build = build or default_factory(record.engine, permissions=permissions)
-        return _learn(known, training, checkpoints, build, reporter(progress), before=record)
+        build = build or supervisor_factory(record.engine, permissions=permissions)
+        return run_training(known, training, checkpoints, build, reporter(progress), before=record)
 
 
 def _initial(run: Run) -> Path:
@@ -233,11 +232,15 @@ def _initial(run: Run) -> Path:
 
 def _has_learned(run: Run) -> bool:
     last = run.model("last")
-    return last.exists() and models.steps_of(last) > 0
+    return last.exists() and learners.steps_of(last) > 0
+
+
+def _checkpoints(run: Run, training: Training) -> Checkpoints:
+    return Checkpoints(run, learners.class_of(training).State)
 
 
 def _training_of(program: Program, total_timesteps: int | None) -> Training:
-    if find_spec("tensorboard") is None:  # Stable-Baselines3 would only notice with the run half made
+    if find_spec("tensorboard") is None:  # the log would only notice with the run half made
         raise MissingExtraError("train", "training")
     if program.agent.training is None:
         raise UsageError(f"{program.name} has no 'train' section, so there is nothing to train with")
@@ -246,7 +249,7 @@ def _training_of(program: Program, total_timesteps: int | None) -> Training:
         raise UsageError(f"total_timesteps must be at least 1, and is {training.total_timesteps}")
     if training.total_timesteps > MAX_STEPS:
         raise UsageError(f"a training of {training.total_timesteps} steps would never end; write at most {MAX_STEPS}")
-    algorithms.check(training)
+    learners.class_of(training).check(training)
     algorithms.check_memory(training.environments)
     return training
 
@@ -259,11 +262,11 @@ def _validate_setup(program: Program, training: Training, build: WorldFactory, s
     for stage in program.curriculum:
         build(stage.program).close()
     with closing(build(program)) as world:
-        env = VectorEnvironment([world] * training.environments, [0] * training.environments)
-        model = algorithms.create(training, env, seed=0, total_timesteps=training.total_timesteps, longest_episode=longest_episode(program))
+        worlds = Worlds([world] * training.environments, [0] * training.environments)
+        learner = _create(training, program, worlds, 0)
         if source is None:
             return None
-        found = models.initialize(source.model("best"), model)
+        found = learner.initialize(source.model("best"))
         afresh = ", ".join(f"{name} ({reason})" for name, reason in found.not_copied.items())
         changed = "; ".join(identity.differences(source.program, program))
         return (
@@ -272,7 +275,12 @@ def _validate_setup(program: Program, training: Training, build: WorldFactory, s
         )
 
 
-def _learn(
+def _create(training: Training, program: Program, worlds: Worlds, seed: int) -> Learner:
+    spaces = worlds.observation_space, worlds.action_space
+    return learners.create(Setup(training, *spaces, seed, training.total_timesteps, longest_episode(program), LocalCollector(worlds)))
+
+
+def run_training(
     run: Run, training: Training, checkpoints: Checkpoints, build: WorldFactory, reporter: Reporter, before: RunRecord | None = None
 ) -> TrainingResult:
     """One process's share in a run, from its last checkpoint to the goal.
@@ -292,7 +300,8 @@ def _learn(
         checkpoints.on_restored.append(run.update)
     statistics.final = curriculum.is_last
     callback = TrainingCallback(run, statistics, curriculum, Evaluator(build, run.record.seed, run), reporter, training.total_timesteps)
-    checkpoints.attach(callback)
+    if checkpoints.state is not None:
+        callback.restore(checkpoints.state.callback)
     status: Status = "failed"
     digest = ""
     followers: list[plugins.PluginCallback] = []
@@ -300,30 +309,27 @@ def _learn(
         with ExitStack() as stack:
             stack.enter_context(algorithms.torch_settings())
             stack.callback(callback.evaluator.close)
-            env = _environment(stack, run, training, build, callback, checkpoints, reporter)
-            model: Any = algorithms.create(
-                training,
-                env,
-                seed=derive_seed(run.record.seed, "policy"),
-                total_timesteps=training.total_timesteps,
-                longest_episode=longest_episode(run.program),
-                mixin=ResumableAlgorithm,
-            )
-            model.checkpoints = checkpoints
+            worlds = make_training_env(stack, run, training, build, callback, checkpoints, reporter)
+            learner = _create(training, run.program, worlds, derive_seed(run.record.seed, "policy"))
+            learner.log = log = TrainingLog(run)
+            stack.callback(log.close)
+            callback.attach(learner, log)
+            checkpoints.attach(callback, learner, log)
+            checkpoints.on_restored.append(lambda: log.open(training, is_new=checkpoints.state is None))
             if run.record.initialized_from is not None:
-                models.initialize(_initial(run), model)
+                learner.initialize(_initial(run))
             stack.enter_context(signals_handled(callback.interruption))
             stack.enter_context(_silence_writer_threads())
-            if words := batch.stepping_text(run.program, training.environments, run.record.engine, build):
+            if words := stepping_text(run.program, training.environments, run.record.engine, build):
                 reporter.note(words)
             reporter.start(callback.progress())
             stack.callback(reporter.stop)
             try:
                 followers.extend(map(plugins.PluginCallback, run.record.callbacks))
-                status = _drive(model, training, callback, followers, checkpoints)
+                status = learn_until_done(learner, callback, followers, checkpoints)
                 reporter.update(callback.progress())
             finally:
-                digest = models.digest(model)
+                digest = learner.digest()
     except KeyboardInterrupt:
         # Before the first step, or while models were written: files are whole, so there is something to go on from.
         status = "interrupted"
@@ -386,7 +392,7 @@ def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoint
     return known
 
 
-def _environment(
+def make_training_env(
     stack: ExitStack,
     run: Run,
     training: Training,
@@ -394,7 +400,7 @@ def _environment(
     callback: TrainingCallback,
     checkpoints: Checkpoints,
     reporter: Reporter,
-) -> VecEnv:
+) -> Worlds:
     """The worlds, which report to the statistics and the episode log; all closed with `stack`."""
     statistics, curriculum = callback.statistics, callback.curriculum
     log = EpisodeLog(run.monitor, run.program.name)
@@ -416,7 +422,7 @@ def _environment(
 
     next_seed = partial(_enter_stage, run, curriculum, stages)
 
-    def next_world(index: int) -> tuple[World, int] | None:
+    def next_world(index: int) -> tuple[FailureRecorder, int] | None:
         seed = next_seed(index)
         if seed is None:
             return None
@@ -431,22 +437,20 @@ def _environment(
         for world in worlds:
             world.close()
 
-    worlds: list[World] = []
+    worlds: list[FailureRecorder] = []
     stack.callback(close)
     seeds = [derive_seed(run.record.seed, "environment", i) for i in range(len(stages))]
-    env: VectorEnvironment
-    if not batch.reasons_against_batch(run.program, len(stages), run.record.engine, build):
+    env: Worlds
+    if not reasons_against_batch(run.program, len(stages), run.record.engine, build):
         build_stage = partial(_batch_of_stage, run, curriculum, len(stages))
         recorder = BatchFailureRecorder(run, guarded, statistics, curriculum, reporter)
-        env = batch.BatchVectorEnvironment(
-            build_stage, seeds, stages, on_step=count_step, on_episode=count_episode, next_seed=next_seed, recorder=recorder
-        )
+        env = BatchWorlds(build_stage, seeds, stages, on_step=count_step, on_episode=count_episode, next_seed=next_seed, recorder=recorder)
         stack.callback(env.close)
     else:
         for stage in stages:
             worlds.append(guarded(stage))
-        env = VectorEnvironment(worlds, seeds, on_step=count_step, on_episode=count_episode, next_world=next_world)
-    return env if training.normalize is None else _normalized(env, training)
+        env = Worlds(worlds, seeds, on_step=count_step, on_episode=count_episode, next_world=next_world)
+    return env
 
 
 def _enter_stage(run: Run, curriculum: Curriculum, stages: list[int], world: int) -> int | None:
@@ -461,47 +465,30 @@ def _batch_of_stage(run: Run, curriculum: Curriculum, count: int, stage: int) ->
     return build_batch(curriculum.scenario_of(stage), count, engine=run.record.engine)
 
 
-def _normalized(env: VecEnv, training: Training) -> VecNormalize:
-    """The environment with rewards divided by a running standard deviation of the return."""
-    gamma: Any = next((h.value for h in training.hyperparameters if h.name == "gamma"), 0.99)
-    return VecNormalize(env, norm_obs=False, gamma=gamma)
-
-
-def _drive(
-    model: Any, training: Training, callback: TrainingCallback, followers: Sequence[BaseCallback], checkpoints: Checkpoints
+def learn_until_done(
+    learner: Learner, callback: TrainingCallback, followers: Sequence[plugins.PluginCallback], checkpoints: Checkpoints
 ) -> Status:
     """Learn until the goal, a solved task or an interruption."""
     run, statistics = callback.run, callback.statistics
-    model.set_logger(Logger(str(run.tensorboard), []))
-
-    def open_logs() -> None:
-        model.logger.output_formats.append(TensorBoardOutputFormat(str(run.tensorboard)))
-        model.logger.output_formats.extend(plugins.PluginLogger(name, run.path) for name in run.record.loggers)
-        if checkpoints.state is None:
-            describe(run, model.logger, training)
-
-    checkpoints.on_restored.append(open_logs)
-    options: dict[str, Any] = {"use_masking": algorithms.has_masks(model)} if algorithms.takes_masks(model) else {}
-    if isinstance(model, OnPolicyAlgorithm):
-        options["log_interval"] = 1  # `ResumableAlgorithm.dump_logs` decides
     try:
+        learner.begin(callback.total, callback, followers)
+        checkpoints.restore()
         if statistics.steps >= callback.total:  # it was killed when it was done, before its record said so
-            model._setup_learn(callback.total, callback)
             return "finished"
-        with models.overflow_explained():
-            model.learn(callback.total, callback=[callback, *followers] if followers else callback, **options)
+        learner.start()
+        while statistics.steps < callback.total and checkpoints.before_rollout() and learner.collect():
+            learner.update()
+        learner.end()
         if callback.interruption.requested and statistics.steps < callback.total:
             return "interrupted"
         with suppress(KeyboardInterrupt) if statistics.steps >= callback.total else nullcontext():  # nothing is left to continue
             callback.evaluate(UNLIMITED_SHARE)
         if statistics.steps >= callback.total:
-            checkpoints.finish(model)
+            checkpoints.finish()
         else:  # in the middle of a roll-out, since the task is solved or a callback says so
-            models.save(run.model("last"), model)
+            learner.save(run.model("last"))
     except (ValueError, UsageError):
         # torch's distributions refuse parameters that are not finite, and a world an action, before we look at the weights.
-        check_finite(model, run, statistics.steps)
+        check_finite(learner, run)
         raise
-    finally:
-        model.logger.close()
     return "finished"

@@ -12,7 +12,6 @@ import gymnasium as gym
 
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.files import atomic_write, check_output
-from deepbots_cli.learning.environments import World
 
 _RATE = 30.0  # pictures per second
 
@@ -32,7 +31,7 @@ def check_video_path(path: Path, *, force: bool) -> None:
 
 
 @contextmanager
-def recording_video(world: World, path: Path, period: float) -> Iterator[World]:
+def recording_video(world: gym.Env[Any, Any], path: Path, period: float) -> Iterator[gym.Env[Any, Any]]:
     """`world`, with a picture of the reset and of every so many steps in `path`, about `_RATE` a second; `period` (s) is that of a step.
 
     The world must have been made with `render_mode="rgb_array"`.
@@ -46,7 +45,7 @@ def recording_video(world: World, path: Path, period: float) -> Iterator[World]:
 
 
 class _VideoRecorder(gym.Wrapper[Any, Any, Any, Any]):
-    def __init__(self, world: World, writer: Any, every: int) -> None:
+    def __init__(self, world: gym.Env[Any, Any], writer: Any, every: int) -> None:
         super().__init__(world)
         self._writer, self._every, self._steps = writer, every, 0
 

@@ -335,7 +335,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
     def reward_for(self, achieved_goal: Any, desired_goal: Any) -> Any:
         """The reward for goals as the policy sees them: for arrays (n, k) an array of n, for arrays (k,) a number.
 
-        Where a scenario has a goal, `compute_reward` gives it; others do not have that method, by which Stable-Baselines3 tells them.
+        Where a scenario has a goal, `compute_reward` gives it; others do not have that method, by which a learner tells them.
 
         Raises:
             UsageError: The scenario has no goal, or the arrays do not fit it.
@@ -541,7 +541,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
     def _try_again(self, action: Any, error: Exception) -> None:
         """Advance by an action in a form that the fast path does not take, or raise what was wrong.
 
-        A list, or the array without axes that SB3 predicts, fails there before anything has changed.
+        A list, or the array without axes that a policy predicts, fails there before anything has changed.
         """
         fitting = canonical_action(self.action_space, action)
         if fitting is None:

@@ -56,7 +56,8 @@ class Training(Section):
     """Keys of all algorithms; each adds its hyperparameters."""
 
     import_path: ClassVar[str] = ""
-    """`module:attribute` of its class, imported when it is used."""
+    """`module:attribute` of its class, imported when it is used: an algorithm of the library where the model is a built-in one or derived
+    from one, else a `deepbots_cli.learning.learner.Learner`."""
     on_policy: ClassVar[bool] = False
     acts_by: ClassVar[frozenset[Literal["choice", "choices", "ranges"]]] = frozenset({"choice", "choices", "ranges"})
     """The actions that it can take: one choice, several choices, ranges."""
@@ -83,8 +84,13 @@ class Training(Section):
 
     @classmethod
     def base(cls) -> str:
-        """The built-in algorithm that it is, or is derived from."""
-        return next(model.__name__ for model in cls.__mro__ if model in _BUILT_IN)
+        """The built-in algorithm that it is, or is derived from; its own name if it brings its own learner."""
+        return next((model.__name__ for model in cls.__mro__ if model in _BUILT_IN), cls.__name__)
+
+    @classmethod
+    def is_derived(cls) -> bool:
+        """Whether it is a built-in algorithm, or derived from one."""
+        return issubclass(cls, _BUILT_IN)
 
     @property
     def hyperparameters(self) -> Mapping[str, Any]:
@@ -288,10 +294,11 @@ def _read(name: str, model: Any) -> Iterator[tuple[str, type[Training]]]:
     """The model that an entry point names.
 
     Raises:
-        ValueError: It is derived from no built-in algorithm, or lacks something.
+        ValueError: It is no model of an algorithm, or lacks something.
     """
-    if not (isinstance(model, type) and issubclass(model, _BUILT_IN)):
-        raise ValueError(f"{model!r} is derived from none of {', '.join(known.__name__ for known in _BUILT_IN)}")
+    if not (isinstance(model, type) and issubclass(model, Training)):
+        known = ", ".join(known.__name__ for known in _BUILT_IN)
+        raise ValueError(f"{model!r} is derived from none of {known}, nor from Training itself")
     check_kind_model(name, model, model.import_path, "algorithm")
     yield name, model
 

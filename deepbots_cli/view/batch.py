@@ -14,6 +14,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Driver, Start
 from deepbots_cli.rollout.drivers import HAND, POLICY, RANDOM, ZERO, action_from_values
+from deepbots_cli.rollout.worlds import BatchEpisodes
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.batch import BatchChannel, columns_array
 from deepbots_cli.runtime.streams import derive_seed
@@ -65,9 +66,9 @@ class BatchPlayer(Player):
 
     def begin(self, seed: int, episode: int) -> WorldFrame:
         self._seeds = [derive_seed(seed, "evaluation", episode + world) for world in range(self.worlds)]
-        self._resting = np.zeros(self.worlds, bool)
+        self._running = BatchEpisodes(self.batch)
         self._endings: list[str] = []
-        self._rewards, self._returns = np.zeros(self.worlds), np.zeros(self.worlds)
+        self._rewards = np.zeros(self.worlds)
         self._terms = np.zeros((len(self.batch.TERMS), self.worlds))
         self.action = None
         self.driver.begin(Start())
@@ -82,11 +83,10 @@ class BatchPlayer(Player):
         self.action = (
             _joined([action_from_values(self.env, self.manual_values)] * self.worlds) if by_hand else self.driver.act(self.observation)
         )
-        outcome = self.batch.advance(self.action, self._resting if self._resting.any() else None)
-        acting = ~self._resting
+        acting = ~self._running.resting
+        outcome = self._running.step_all(self.action)
         self._rewards[acting], self._terms[:, acting] = outcome.rewards[acting], outcome.terms[:, acting]
-        self._returns[acting] += outcome.rewards[acting]
-        self._resting[outcome.done] = True
+        self._running.resting[outcome.done] = True
         self._endings += [str(info["ended_by"]) for info in outcome.infos]
         self.observation = outcome.observations
         return self._read()
@@ -109,7 +109,7 @@ class BatchPlayer(Player):
         if step := int(batch.step_count[world]):  # before the first step, the single world has all of it
             info, (name, agent) = batch.info(world), next(iter(frame.agents.items()))
             terms = dict(zip(batch.TERMS, self._terms[:, world].tolist(), strict=True))
-            agent = replace(agent, reward=float(self._rewards[world]), episode_return=float(self._returns[world]), terms=terms)
+            agent = replace(agent, reward=float(self._rewards[world]), episode_return=float(self._running.returns[world]), terms=terms)
             frame = replace(
                 frame,
                 step=step,

@@ -151,14 +151,15 @@ class RunDriver(Driver):
         """`rows` are the worlds of a batch, which one forward pass acts in."""
         try:
             from deepbots_cli.learning import evaluation
+            from deepbots_cli.learning.learner import steps_of
             from deepbots_cli.learning.run import RunRecord
-            from deepbots_cli.learning.sb3 import models
+            from deepbots_cli.rollout.policies import PolicyDriver
         except ModuleNotFoundError as error:
             raise MissingExtraError("train", "showing the policy of a run") from error
         if differences := identity.differences(run.program, env.scenario):
             raise RunError(f"the policy of {run.path} does not fit the changed scenario:\n  " + "\n  ".join(differences))
-        self._load, self._driver = evaluation.load_model, evaluation.PolicyDriver
-        self._steps_of, self._record = models.steps_of, RunRecord.read
+        self._load, self._driver = evaluation.load_model, PolicyDriver
+        self._steps_of, self._record = steps_of, RunRecord.read
         self._run, self._env, self._rows = run, env, rows
         self._policy: Driver | None = None
         self._stamp: tuple[int, int] | None = None

@@ -140,7 +140,7 @@ def stage_starts(record: RunRecord, episodes: Any) -> list[StageStart]:
 
 
 def _read_tensorboard(path: Path) -> TrainingLog:
-    """What Stable-Baselines3 writes."""
+    """What the learner writes."""
     if not path.is_dir():
         raise RunError(f"{path} is neither a run nor a folder of TensorBoard files")
     scalars = scalars_of(path)

@@ -15,12 +15,12 @@ pytest.importorskip("stable_baselines3")
 
 from deepbots_cli import api, learning
 from deepbots_cli.errors import EvaluationError
-from deepbots_cli.learning.batch import BatchVectorEnvironment, stepping_text
-from deepbots_cli.learning.environments import VectorEnvironment, default_factory, observation_digest
-from deepbots_cli.learning.evaluation import batch_rollout, rollout
-from deepbots_cli.learning.sb3 import algorithms
+from deepbots_cli.learning import learner
+from deepbots_cli.learning.environments import stepping_text, supervisor_factory
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.policies import play_batch, play_episodes
+from deepbots_cli.rollout.worlds import BatchWorlds, Worlds, observation_digest
 from deepbots_cli.runtime import Supervisor
 
 SEEDS = (3, 4, 5)
@@ -33,17 +33,17 @@ def program() -> Program:
 
 def test_a_learner_sees_the_same_of_a_batch_as_of_single_worlds(program: Program) -> None:
     told: dict[str, list[tuple[int, Episode]]] = {"batch": [], "single": []}
-    batched = BatchVectorEnvironment(
+    batched = BatchWorlds(
         lambda stage: api.build_batch(program, 3), SEEDS, on_episode=lambda world, episode: told["batch"].append((world, episode))
     )
     singles = [api.build(program, engine="mujoco") for _ in SEEDS]
-    usual = VectorEnvironment(singles, SEEDS, on_episode=lambda world, episode: told["single"].append((world, episode)))
+    usual = Worlds(singles, SEEDS, on_episode=lambda world, episode: told["single"].append((world, episode)))
     with closing(batched), closing(usual):
         np.testing.assert_array_equal(batched.reset(), usual.reset())
         generator = np.random.default_rng(0)
         for _ in range(60):
             actions = generator.integers(0, 2, 3)
-            for mine, other in zip(batched.step(actions)[:3], usual.step(actions)[:3], strict=True):
+            for mine, other in zip(batched.step_all(actions)[:3], usual.step_all(actions)[:3], strict=True):
                 np.testing.assert_array_equal(mine, other)
     assert told["batch"] == told["single"] != []
 
@@ -75,26 +75,24 @@ def test_worlds_of_a_batch_enter_another_stage_one_by_one(program: Program) -> N
         def count(world: int, episode: Episode, done: list[int] = done) -> None:
             done.append(world)
 
-        env: VectorEnvironment
+        env: Worlds
         if is_batch:
-            env = BatchVectorEnvironment(
-                lambda stage: api.build_batch(programs[stage], 3), SEEDS, stages, on_episode=count, next_seed=enter
-            )
+            env = BatchWorlds(lambda stage: api.build_batch(programs[stage], 3), SEEDS, stages, on_episode=count, next_seed=enter)
         else:
             singles = [api.build(program, engine="mujoco") for _ in SEEDS]
-            env = VectorEnvironment(singles, SEEDS, on_episode=count, next_world=next_world)
+            env = Worlds(singles, SEEDS, on_episode=count, next_world=next_world)
         seen: list[object] = [env.reset().tolist()]
         of_stages = []
         with closing(env):
             generator = np.random.default_rng(1)
             for _ in range(120):
-                observations, rewards, dones, infos = env.step(generator.integers(0, 2, 3))
-                seen.append((observations.tolist(), rewards.tolist(), dones.tolist(), [info.get("episode") for info in infos]))
+                observations, rewards, dones, _, endings = env.step_all(generator.integers(0, 2, 3))
+                seen.append((observations.tolist(), rewards.tolist(), dones.tolist(), [ending.episode for ending in endings]))
                 of_stages.append(sum(stages))
             if is_batch:
                 histories = env.histories()
-                with closing(BatchVectorEnvironment(lambda stage: api.build_batch(programs[stage], 3), SEEDS, stages)) as other:
-                    assert observation_digest(other.repeat(histories)) == observation_digest(env.last_observations)
+                with closing(BatchWorlds(lambda stage: api.build_batch(programs[stage], 3), SEEDS, stages)) as other:
+                    assert observation_digest(other.repeat(histories)) == observation_digest(env.observations)
         steps.append(seen)
         kinds.append(of_stages)
     assert steps[0] == steps[1]
@@ -104,20 +102,20 @@ def test_worlds_of_a_batch_enter_another_stage_one_by_one(program: Program) -> N
 
 def test_a_running_batch_is_restored_exactly(program: Program) -> None:
     with (
-        closing(BatchVectorEnvironment(lambda stage: api.build_batch(program, 3), SEEDS)) as first,
-        closing(BatchVectorEnvironment(lambda stage: api.build_batch(program, 3), SEEDS)) as other,
+        closing(BatchWorlds(lambda stage: api.build_batch(program, 3), SEEDS)) as first,
+        closing(BatchWorlds(lambda stage: api.build_batch(program, 3), SEEDS)) as other,
     ):
         first.reset()
         generator = np.random.default_rng(1)
         plan = generator.integers(0, 2, (90, 3))
         for actions in plan[:50]:
-            first.step(actions)
+            first.step_all(actions)
         assert len({len(history.actions) for history in first.histories()}) > 1
-        assert observation_digest(other.repeat(first.histories())) == observation_digest(first.last_observations)
+        assert observation_digest(other.repeat(first.histories())) == observation_digest(first.observations)
         for actions in plan[50:]:
-            mine, again = first.step(actions), other.step(actions)
+            mine, again = first.step_all(actions), other.step_all(actions)
             np.testing.assert_array_equal(mine[0], again[0])
-            assert [info.get("episode") for info in mine[3]] == [info.get("episode") for info in again[3]]
+            assert [ending.episode for ending in mine.endings] == [ending.episode for ending in again.endings]
 
 
 def evaluated(name: str, worlds: int, seeds: list[int], overrides: tuple[str, ...] = ()) -> tuple[list[Episode] | None, list[Episode]]:
@@ -125,9 +123,9 @@ def evaluated(name: str, worlds: int, seeds: list[int], overrides: tuple[str, ..
     program = api.compile(name, overrides=overrides).program
     assert program.agent.training is not None
     singles = [api.build(program, engine="mujoco") for _ in range(2)]
-    with closing(VectorEnvironment(singles, [0, 0])) as usual, closing(api.build_batch(program, worlds)) as many:
-        model = algorithms.create(program.agent.training, usual, seed=0, total_timesteps=100)
-        return batch_rollout(model, many, seeds), rollout(model, singles, seeds, deterministic=True)
+    with closing(Worlds(singles, [0, 0])), closing(api.build_batch(program, worlds)) as many:
+        policy = learner.create(learner.Setup(program.agent.training, many.observation_space, many.action_space))
+        return play_batch(policy, many, seeds), play_episodes(policy, singles, seeds, deterministic=True)
 
 
 @pytest.mark.parametrize(
@@ -150,9 +148,9 @@ def test_an_evaluation_in_which_a_world_fails_is_left_to_single_worlds() -> None
 
 def test_why_worlds_are_stepped_one_by_one_is_told() -> None:
     camera, cart = api.compile("see_ball").program, api.compile("cartpole").program
-    assert stepping_text(camera, 8, "mujoco", default_factory("mujoco")) == "SeeBall steps its 8 worlds one by one: it has cameras"
-    assert stepping_text(cart, 8, "mujoco", default_factory("mujoco")) == "CartPole steps its 8 worlds together, as a batch"
-    assert stepping_text(camera, 8, "pybullet", default_factory("pybullet")) == ""
+    assert stepping_text(camera, 8, "mujoco", supervisor_factory("mujoco")) == "SeeBall steps its 8 worlds one by one: it has cameras"
+    assert stepping_text(cart, 8, "mujoco", supervisor_factory("mujoco")) == "CartPole steps its 8 worlds together, as a batch"
+    assert stepping_text(camera, 8, "pybullet", supervisor_factory("pybullet")) == ""
 
 
 def test_a_batch_enters_the_next_stage_after_an_evaluation(tmp_path: Path) -> None:

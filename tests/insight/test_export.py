@@ -20,10 +20,10 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
 from deepbots_cli.insight import export
-from deepbots_cli.learning.environments import VectorEnvironment
-from deepbots_cli.learning.policy import Policy, _Spaces, load_policy
-from deepbots_cli.learning.sb3 import algorithms
+from deepbots_cli.learning import learner as learners
+from deepbots_cli.learning.policy import Policy, load_policy
 from deepbots_cli.program.task import Network, Training
+from deepbots_cli.runtime.spaces import action_space, observation_space
 
 slow = pytest.mark.slow
 
@@ -33,12 +33,11 @@ def _made(scenario: str, algorithm: str, activation: str = "tanh", frame_stack: 
     program = api.compile(scenario).program
     training = Training(algorithm, 1000, network=Network((32, 32), activation))
     program = program.with_agents(training=training, frame_stack=frame_stack)
-    spaces = VectorEnvironment([_Spaces(program)], [0])
-    model = algorithms.create(training, spaces, seed=0, total_timesteps=1, to_learn=False)
+    learner = learners.create(learners.Setup(training, observation_space(program), action_space(program)))
     with torch.no_grad():
-        for weight in model.policy.parameters():
+        for weight in learner.model.policy.parameters():
             weight.mul_(1.5).add_(0.05 * torch.randn_like(weight))
-    return program, model
+    return program, learner
 
 
 def _session(graph: bytes):
@@ -64,25 +63,25 @@ def _session(graph: bytes):
     ],
 )
 def test_actions_are_those_of_stable_baselines3(scenario, algorithm, activation):
-    program, model = _made(scenario, algorithm, activation)
-    graph = export.networks(model, program)["policy.onnx"]
+    program, learner = _made(scenario, algorithm, activation)
+    graph = export.networks(learner, program)["policy.onnx"]
     session = _session(graph)
-    assert export.largest_difference(model, program, graph, 10_000, lambda feeds: session.run(None, feeds)) <= export.TOLERANCE
+    assert export.largest_difference(learner, program, graph, 10_000, lambda feeds: session.run(None, feeds)) <= export.TOLERANCE
 
 
 @pytest.mark.slow
 def test_pictures_are_seen_as_stable_baselines3_sees_them():
-    program, model = _made("see_ball", "PPO")
-    graph = export.networks(model, program)["policy.onnx"]
+    program, learner = _made("see_ball", "PPO")
+    graph = export.networks(learner, program)["policy.onnx"]
     session = _session(graph)
-    assert export.largest_difference(model, program, graph, 200, lambda feeds: session.run(None, feeds)) <= export.TOLERANCE
+    assert export.largest_difference(learner, program, graph, 200, lambda feeds: session.run(None, feeds)) <= export.TOLERANCE
 
 
 @pytest.mark.parametrize(("scenario", "algorithm"), [("cartpole", "PPO"), ("find_ball", "SAC")])
 def test_in_si_units_values_and_commands_mean_what_the_scenario_says(scenario, algorithm):
     """Also beyond the ranges, where the environment clips."""
-    program, model = _made(scenario, algorithm)
-    policy, session = Policy(program, model), _session(export.networks(model, program)["policy_si.onnx"])
+    program, learner = _made(scenario, algorithm)
+    policy, session = Policy(program, learner), _session(export.networks(learner, program)["policy_si.onnx"])
     dice = np.random.default_rng(1)
     for _ in range(20):
         values = {n.name: dice.uniform(1.5 * n.low - 0.5 * n.high, 1.5 * n.high - 0.5 * n.low) for n in policy.observation}
@@ -94,17 +93,17 @@ def test_in_si_units_values_and_commands_mean_what_the_scenario_says(scenario, a
 
 
 def test_older_values_stand_where_the_environment_puts_them():
-    program, model = _made("cartpole", "PPO", frame_stack=3)
-    graph = export.networks(model, program)["policy.onnx"]
+    program, learner = _made("cartpole", "PPO", frame_stack=3)
+    graph = export.networks(learner, program)["policy.onnx"]
     assert _session(graph).get_inputs()[0].shape == ["batch", 12]
     assert [entry.steps_ago for entry in program.agent.inputs][::4] == [2, 1, 0]
 
 
 def test_a_layer_that_is_not_known_is_named():
-    program, model = _made("cartpole", "PPO")
-    model.policy.mlp_extractor.policy_net[1] = torch.nn.Dropout()
+    program, learner = _made("cartpole", "PPO")
+    learner.model.policy.mlp_extractor.policy_net[1] = torch.nn.Dropout()
     with pytest.raises(UsageError, match="layer Dropout"):
-        export.networks(model, program)
+        export.networks(learner, program)
 
 
 @pytest.fixture(scope="session")

@@ -19,14 +19,16 @@ import torch
 
 from deepbots_cli import api
 from deepbots_cli.errors import MissingExtraError, UsageError, install_hint
-from deepbots_cli.learning import TrainingResult, evaluate, resume, train, training
-from deepbots_cli.learning.checkpoints import ResumableAlgorithm
-from deepbots_cli.learning.environments import VectorEnvironment
+from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3 import algorithms, defaults, models
 from deepbots_cli.learning.sb3.algorithms import DecayingNoise
+from deepbots_cli.learning.sb3.environment import CollectorEnvironment
+from deepbots_cli.learning.sb3.learner import StableLearner
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Network, Schedule, Training
+from deepbots_cli.rollout.collector import LocalCollector
+from deepbots_cli.rollout.worlds import Worlds
 from tests.few import few
 
 SMALL = Network((8,))
@@ -165,13 +167,12 @@ def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to
 ) -> None:
     replays = []
 
-    class Seen(ResumableAlgorithm):
-        def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
-            result = super()._setup_learn(*args, **kwargs)
-            replays.append(deepcopy({key: value for key, value in vars(self.replay_buffer).items() if key != "env"}))
-            return result
+    class Seen(StableLearner):
+        def start(self) -> None:
+            replays.append(deepcopy({key: value for key, value in vars(self.model.replay_buffer).items() if key != "env"}))
+            super().start()
 
-    monkeypatch.setattr(training, "ResumableAlgorithm", Seen)
+    monkeypatch.setattr("deepbots_cli.learning.sb3.learner.StableLearner", Seen)
     result = resume(reached.run, total_timesteps=1_600, build=Reach)
     (replay,) = replays
     assert replay["full"]
@@ -183,7 +184,7 @@ def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to
 
 
 def copies_of(program: Program, world: Any = Reach) -> Any:
-    return VectorEnvironment([world(program), world(program)], [0, 1])
+    return CollectorEnvironment(LocalCollector(Worlds([world(program), world(program)], [0, 1])))
 
 
 def test_hindsight_waits_for_the_first_episode_to_end(tmp_path: Path) -> None:

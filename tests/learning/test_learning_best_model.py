@@ -8,10 +8,8 @@ import pytest
 import stand_in
 import torch
 
-from deepbots_cli.learning import TrainingResult, callbacks, evaluate, resume, train
+from deepbots_cli.learning import TrainingResult, callbacks, evaluate, learner, resume, train
 from deepbots_cli.learning.callbacks import Evaluator, Interruption
-from deepbots_cli.learning.environments import VectorEnvironment
-from deepbots_cli.learning.sb3 import algorithms, models
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Solved, Training
 from deepbots_cli.runtime.streams import derive_seed
@@ -101,7 +99,7 @@ def test_the_best_model_is_that_of_the_best_evaluation_and_evaluations_take_at_m
     build = Builder(lambda number: 0.1 if number == 1 else 0.0)
     result = learned(tmp_path, build, total=3_000)
     assert build.tried > 2
-    best, last = (models.steps_of(result.run / "models" / "agent" / f"{name}.zip") for name in ("best", "last"))
+    best, last = (learner.steps_of(result.run / "models" / "agent" / f"{name}.zip") for name in ("best", "last"))
     assert 0 < best < last
     assert evaluate(result.run, episodes=1, build=stand_in.build).mean_return > 0
     # The last evaluation comes in addition.
@@ -114,7 +112,7 @@ def test_a_network_that_solves_the_task_goes_before_one_with_a_higher_return(tmp
     build = Builder(lambda number: 9.0 if number == 0 else 0.1, lambda number: number == 1)
     result = learned(tmp_path, build, 50_000, Solved(2, success_rate=1.0))
     assert (build.tried, result.steps < 50_000) == (2, True)
-    best, last = (models.steps_of(result.run / "models" / "agent" / f"{name}.zip") for name in ("best", "last"))
+    best, last = (learner.steps_of(result.run / "models" / "agent" / f"{name}.zip") for name in ("best", "last"))
     assert best == last
     assert result.best_return is not None
     assert result.best_return < 0.1 * 50 + 1e-6
@@ -153,13 +151,13 @@ def test_a_network_that_confirmed_the_solved_task_goes_before_one_that_shone_ear
     result = learned(tmp_path, build, 50_000, Solved(30, success_rate=1.0))
     assert sum(seed == EVALUATION_SEEDS[0] for world in worlds for seed in world.seeds) == 2
     assert result.solved_at is not None
-    best = models.steps_of(result.run / "models" / "agent" / "best.zip")
+    best = learner.steps_of(result.run / "models" / "agent" / "best.zip")
     assert best >= result.solved_at.steps
 
 
 def test_of_equal_evaluations_the_later_network_is_kept(unpaid: tuple[Builder, TrainingResult]) -> None:
     _, result = unpaid
-    best, last = (models.steps_of(result.run / "models" / "agent" / f"{name}.zip") for name in ("best", "last"))
+    best, last = (learner.steps_of(result.run / "models" / "agent" / f"{name}.zip") for name in ("best", "last"))
     assert best == last
 
 
@@ -190,14 +188,14 @@ def test_an_evaluation_stops_when_somebody_wants_the_training_to_end() -> None:
     task = stand_in.scenario(max_steps=50)
     world = stand_in.build(task)
     assert task.agent.training is not None
-    model = algorithms.create(task.agent.training, VectorEnvironment([world] * 2, [0, 0]), seed=0, total_timesteps=100, longest_episode=50)
+    policy = learner.create(learner.Setup(task.agent.training, world.observation_space, world.action_space))
     evaluator, interruption = Evaluator(stand_in.build, seed=0), Interruption()
     state = torch.get_rng_state()
-    first, second = (evaluator.run_episodes(model, task, interruption) for _ in range(2))
+    first, second = (evaluator.run_episodes(policy, task, interruption) for _ in range(2))
     assert first == second  # the same starts each time
     assert len(first) == callbacks.EVALUATION_EPISODES
     assert torch.equal(torch.get_rng_state(), state)
     interruption.requested = True
     with pytest.raises(KeyboardInterrupt):
-        evaluator.run_episodes(model, task, interruption)
+        evaluator.run_episodes(policy, task, interruption)
     evaluator.close()

@@ -96,8 +96,8 @@ ARRAYS: dict[str, Callable[[Path], Mapping[str, Any]]] = {
     "actions of text": lambda run: {"actions/0": np.full(5, "forward")},
     "actions that the scenario does not have": lambda run: {"actions/0": np.full(5, 99)},
     "actions that are no numbers": lambda run: {"actions/0": np.full(5, np.nan)},
-    "observations of another shape": lambda run: {"_last_obs": np.zeros((4, 5), np.float32)},
-    "observations of another type": lambda run: {"_last_obs": np.zeros((4, 4), np.float64)},
+    "an array of another shape": lambda run: {"torch": np.zeros((2, 2528), np.uint8)},
+    "an array of another type": lambda run: {"torch": np.zeros(5056, np.int64)},
     "an array with a name of its own": lambda run: {"more": np.zeros(3)},
     "a generator that reads beyond its numbers": lambda run: {"torch": torch_generator(run)},
     "a generator of another size": lambda run: {"numpy": np.zeros(3, np.uint32)},
@@ -111,7 +111,7 @@ def test_a_forged_array_of_a_checkpoint_is_damaged(run_copy: Path, name: str) ->
 
 
 def test_a_solved_run_stays_solved_when_resuming_it_fails(run_copy: Path) -> None:
-    with_arrays(run_copy, {"_last_obs": np.zeros((4, 5), np.float32)})
+    with_arrays(run_copy, {"torch": np.zeros(5, np.uint8)})
     before = Run.open(run_copy).record
     refusal(run_copy)
     assert Run.open(run_copy).record == before

@@ -25,8 +25,8 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.insight.export import networks
 from deepbots_cli.learning import TrainingResult, evaluate, load_policy, resume, train
 from deepbots_cli.learning.evaluation import load_model
+from deepbots_cli.learning.learner import steps_of
 from deepbots_cli.learning.run import Run
-from deepbots_cli.learning.sb3.models import steps_of
 from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Training
 from tests.few import few
 
@@ -195,8 +195,8 @@ def test_a_damaged_checkpoint_is_refused_and_the_models_stay(run_copy: Path, nam
 def test_an_array_that_promises_more_than_it_holds_costs_no_memory(run_copy: Path) -> None:
     (path,) = (run_copy / "checkpoints").glob("0*/arrays.npz")
     whole = members(path)
-    name = "_last_obs.npy"
-    rewrite(path, whole | {name: whole[name].replace(b"(4, 4), }" + b" " * 9, b"(4, 99999999999), }"[:18])})
+    name = "torch.npy"
+    rewrite(path, whole | {name: whole[name].replace(b"(5056,), }" + b" " * 7, b"(99999999999,), }")})
     with pytest.raises(RunError, match="damaged"):
         resume(run_copy, total_timesteps=100_000, build=stand_in.build)
 

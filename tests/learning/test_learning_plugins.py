@@ -18,10 +18,10 @@ from stable_baselines3 import PPO
 from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import PluginError, UsageError
 from deepbots_cli.learning import TrainingResult, resume, resume_group, train, train_group
+from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.report import Reporter, TrainingProgress
-from deepbots_cli.learning.run import RunRecord
-from deepbots_cli.learning.sb3 import models
+from deepbots_cli.learning.run import Run, RunRecord
 from deepbots_cli.program.task import Hyperparameter, Training
 from tests.plugins import test_plugins
 
@@ -69,7 +69,9 @@ def test_a_training_that_was_interrupted_calls_and_logs_as_one_that_was_not(tmp_
     for name in ("scalars.csv", "scalars.jsonl"):
         assert lines(whole.run, name) == lines(parts.run, name)
     saved = PPO.load(whole.run / "logs" / "whole.zip")
-    assert models.digest(saved) == whole.weights_digest
+    last: Any = load_model(Run.open(whole.run), "last")
+    last.model = saved
+    assert last.digest() == whole.weights_digest
     rows = [line.split(",") for line in lines(whole.run, "scalars.csv")]
     assert rows[0] == ["steps", "name", "value"]
     assert {"acme/norm", "rollout/ep_rew_mean", "reward/alive"} <= {row[1] for row in rows}

@@ -29,12 +29,13 @@ from deepbots_cli.cli.records import training_text
 from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import checkpoints, evaluate, resume, train
-from deepbots_cli.learning.environments import VectorEnvironment, observation_digest
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.sb3.state import StableState
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Network, Schedule, Solved, Training
 from deepbots_cli.rollout.source import Source
+from deepbots_cli.rollout.worlds import Worlds, observation_digest
 from deepbots_cli.runtime.batch import EpisodeHistory
 from deepbots_cli.scenario import Scenario
 from tests.few import few
@@ -271,7 +272,7 @@ def test_a_run_can_be_opened_after_any_of_two_hundred_kills(tmp_path: Path) -> N
         if (run / "run.json").exists():
             known = Run.open(run)
             if (last := checkpoints.latest_checkpoint(known)) is not None:
-                checkpoints.read_state(last)
+                checkpoints.read_state(last, StableState)
                 assert all(path.is_file() for path in (known.model("best"), known.model("last")))
                 with_checkpoint += 1
         if code == 0:
@@ -305,18 +306,18 @@ def test_the_generated_environment_is_brought_back_in_the_middle_of_an_episode(t
 def test_a_shipped_world_is_brought_back_in_the_middle_of_an_episode(name: str) -> None:
     """In a fresh world, from the states of its random generators as JSON and the actions of the episode."""
     compiled = api.compile(name, permissions=Permissions(code=True))
-    with closing(VectorEnvironment([api.build(compiled.program, permissions=Permissions(code=True))], [7])) as env:
+    with closing(Worlds([api.build(compiled.program, permissions=Permissions(code=True))], [7])) as env:
         env.reset()
         env.action_space.seed(1)
         ended, steps = 0, 0
         while steps < 12 or (not ended and steps < 3_000):
-            actions = np.array([env.action_space.sample() for _ in range(env.num_envs)])
-            dones = env.step(actions)[2]
+            actions = np.array([env.action_space.sample() for _ in range(env.rows)])
+            dones = env.step_all(actions)[2]
             ended, steps = ended + bool(dones[0]), 0 if dones[0] else steps + 1
         (history,) = env.histories()
-        seen = observation_digest(env.last_observations)
+        seen = observation_digest(env.observations)
     kept = EpisodeHistory(json.loads(json.dumps(history.start)), list(np.array(history.actions)))
-    with closing(VectorEnvironment([api.build(compiled.program, permissions=Permissions(code=True))], [8])) as env:
+    with closing(Worlds([api.build(compiled.program, permissions=Permissions(code=True))], [8])) as env:
         env.reset()
         assert observation_digest(env.repeat([kept])) == seen
 

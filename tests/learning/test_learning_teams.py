@@ -12,10 +12,10 @@ import pytest
 import stand_in
 
 from deepbots_cli.learning import evaluate, resume, train
-from deepbots_cli.learning.environments import VectorEnvironment
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Network, Training
 from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.worlds import Worlds
 from tests.few import few
 
 SIZE = 3
@@ -74,25 +74,26 @@ class Team(gym.Env[Any, Any]):
 def test_a_team_is_unrolled_into_a_row_for_each_copy() -> None:
     program = stand_in.scenario()
     episodes: list[tuple[int, Episode]] = []
-    copies = VectorEnvironment([Team(program), Team(program)], [1, 2], on_episode=lambda world, episode: episodes.append((world, episode)))
+    copies = Worlds([Team(program), Team(program)], [1, 2], on_episode=lambda world, episode: episodes.append((world, episode)))
     alone = [Team(program), Team(program)]
     first = np.concatenate([team.reset(seed=seed)[0] for team, seed in zip(alone, (1, 2), strict=True)])
-    assert copies.num_envs == 6
+    assert copies.rows == 6
     assert copies.observation_space.shape == (4,)
     assert (copies.reset() == first).all()
     dones, count = np.zeros(6, bool), 0
     while not dones.any():  # the first team drives on, the second back and forth, which holds the poles up for longer
         actions, count = np.array([0, 1, 1] + [count % 2] * 3), count + 1
         before = np.concatenate([team.step(rows)[0] for team, rows in zip(alone, (actions[:3], actions[3:]), strict=True)])
-        observations, rewards, dones, infos = copies.step(actions)
+        observations, rewards, dones, _, endings = copies.step_all(actions)
         assert (rewards == 1.0).all()
     world = int(np.argmax(dones)) // SIZE
     rows = range(world * SIZE, world * SIZE + SIZE)
     assert dones.tolist() == [row in rows for row in range(6)]
-    own = [row for row in rows if not infos[row]["TimeLimit.truncated"]]
+    ended = {ending.row: ending for ending in endings}
+    own = [row for row in rows if not ended[row].timed_out]
     assert own  # whoever ended it did so itself; for the others it was cut short
-    assert [infos[row]["TimeLimit.truncated"] for row in rows] == [row not in own for row in rows]
-    assert all((infos[row]["terminal_observation"] == before[row]).all() for row in rows)
+    assert list(ended) == list(rows)
+    assert all((ended[row].observation == before[row]).all() for row in rows)
     assert all((observations[row] != before[row]).any() for row in rows)  # of the next episode
     assert [(world, episode.ended_by) for world, episode in episodes] == [
         (world, "fallen" if row in own else "another_copy") for row in rows

@@ -26,6 +26,7 @@ from deepbots_cli.learning import TrainingResult, checkpoints, evaluate, resume,
 from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal, to_json
 from deepbots_cli.learning.run import Run, run_lock
 from deepbots_cli.learning.sb3 import algorithms
+from deepbots_cli.learning.sb3.state import StableState
 from deepbots_cli.learning.training import _training_of
 from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Solved, Training
 from tests.few import few
@@ -299,7 +300,7 @@ def test_the_replay_buffer_is_taken_up_again(tmp_path: Path) -> None:
     again = resume(result.run, total_timesteps=150, build=stand_in.build)
     last = checkpoints.latest_checkpoint(Run.open(again.run))
     assert last is not None
-    assert checkpoints.read_state(last).segments[-1][1] == again.steps
+    assert checkpoints.read_state(last, StableState).segments[-1][1] == again.steps
 
 
 @pytest.mark.parametrize(

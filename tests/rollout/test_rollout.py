@@ -19,10 +19,8 @@ from deepbots_cli.rollout.episode import random_state
 
 PACKAGE = Path(deepbots_cli.__file__).parent
 STEPPING = {
-    "rollout/episode.py",
-    *("learning/environments.py", "learning/batch.py"),  # the collector
+    *("rollout/episode.py", "rollout/worlds.py"),
     *("cli/throughput.py", "cli/commands/bench.py"),  # benchmarks
-    *("learning/evaluation.py", "view/batch.py"),  # batches of worlds
 }
 
 

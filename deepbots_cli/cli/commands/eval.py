@@ -42,10 +42,10 @@ if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
     from deepbots_cli.learning import EvaluationResult, GroupResult
     from deepbots_cli.learning.episodes import Interval
-    from deepbots_cli.learning.evaluation import StopCondition
     from deepbots_cli.learning.statistics import Verdict
     from deepbots_cli.program import Program
     from deepbots_cli.rollout import Episode
+    from deepbots_cli.rollout.policies import StopCondition
 
 
 def _engines(names: list[str] | None) -> list[str] | None:

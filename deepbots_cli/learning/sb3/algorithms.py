@@ -168,14 +168,14 @@ def torch_settings() -> Iterator[None]:
 
 def takes_masks(model: BaseAlgorithm) -> bool:
     """Whether the policy wants to know which choices are forbidden."""
-    # `FinitePredictions` hands arguments on to the class below it.
     return any("action_masks" in signature(vars(kind)["predict"]).parameters for kind in type(model).__mro__ if "predict" in vars(kind))
 
 
-def has_masks(model: BaseAlgorithm) -> bool:
-    """Whether the model's worlds say so."""
-    worlds = model.get_env()
-    return worlds is not None and worlds.has_attr("action_masks")
+def collects_as_usual(training: Training, model: BaseAlgorithm) -> bool:
+    """Whether the algorithm is on-policy and has the roll-outs of the built-in one that it is or is derived from."""
+    algorithm = _entry(training.algorithm)
+    usual: Any = _imported(ALGORITHMS[algorithm.base()])
+    return algorithm.on_policy and type(model).collect_rollouts is usual.collect_rollouts  # type: ignore[attr-defined]
 
 
 def check(training: Training) -> None:

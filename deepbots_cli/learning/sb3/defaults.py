@@ -110,9 +110,8 @@ DEFAULTS: Mapping[str, Mapping[str, Default]] = {
 
 def default_values(training: Training, total_timesteps: int, longest_episode: int) -> dict[str, object]:
     """The values of our defaults; `environments` of the training counts every copy that the policy acts for."""
-    return {
-        name: default.value(training, total_timesteps, longest_episode) for name, default in DEFAULTS[_base(training.algorithm)].items()
-    }
+    own = DEFAULTS.get(_base(training.algorithm), {})
+    return {name: default.value(training, total_timesteps, longest_episode) for name, default in own.items()}
 
 
 def _base(algorithm: str) -> str:

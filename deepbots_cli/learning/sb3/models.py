@@ -8,16 +8,13 @@ memory than its size, which is limited by that of the model.
 
 from __future__ import annotations
 
-import hashlib
 import io
-import json
 import os
 import pickle
 import pickletools
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -29,6 +26,7 @@ from stable_baselines3.common.save_util import is_json_serializable, save_to_zip
 
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.files import atomic_write
+from deepbots_cli.learning.learner import Initialization
 
 Tensors = Mapping[str, Mapping[str, Any]]
 """What a model file holds: a state dictionary for each part (`policy`, `policy.optimizer`), and `pytorch_variables`."""
@@ -46,20 +44,10 @@ _PICKLED_ENTRIES = ("policy_class", "policy_kwargs", "observation_space", "actio
 _HINDSIGHT_ENTRIES = ("replay_buffer_class", "replay_buffer_kwargs")
 
 
-class FinitePredictions:
-    """Mixed in before an algorithm of Stable-Baselines3: weights so large that no finite action follows are a problem of the run."""
-
-    def predict(self, *args: Any, **kwargs: Any) -> Any:
-        """As of the algorithm.
-
-        Raises:
-            RunError: An action is not finite.
-        """
-        with overflow_explained():
-            actions, state = super().predict(*args, **kwargs)  # type: ignore[misc]  # of the algorithm
-            if not np.isfinite(actions).all():
-                raise ValueError(_OVERFLOW)
-        return actions, state
+def check_actions_finite(actions: Any) -> None:
+    """Raises: ValueError: An action is not finite, which `overflow_explained` explains."""
+    if not np.isfinite(actions).all():
+        raise ValueError(_OVERFLOW)
 
 
 @contextmanager
@@ -117,14 +105,6 @@ def load(path: Path, model: BaseAlgorithm) -> None:
         variable.data.copy_(tensors[_VARIABLES][name])
 
 
-@dataclass(frozen=True)
-class Initialization:
-    """The tensors of a policy that were taken over from another model; `not_copied` says why the rest begins afresh."""
-
-    copied: tuple[str, ...]
-    not_copied: Mapping[str, str]
-
-
 def initialize(path: Path, model: BaseAlgorithm) -> Initialization:
     """Take over each tensor of the policy that has the same name and shape in the file; optimisers begin afresh.
 
@@ -168,35 +148,6 @@ def read(path: Path, model: BaseAlgorithm) -> Tensors:
             _check_tensors(path, name, part.state_dict(), tensors[name])
     _check_tensors(path, _VARIABLES, dict(_variables(model)), tensors[_VARIABLES])
     return tensors
-
-
-def steps_of(path: Path) -> int:
-    """After how many steps a model was saved.
-
-    Raises:
-        RunError: The file is missing, damaged, or no model.
-    """
-    try:
-        with zipfile.ZipFile(path) as archive, archive.open("data") as member:
-            return int(json.loads(member.read(_OVERHEAD_BYTES))["num_timesteps"])
-    except (OSError, ArithmeticError, EOFError, KeyError, RuntimeError, TypeError, ValueError, zipfile.BadZipFile) as error:
-        # It is encrypted, packed otherwise, or its steps are infinite.
-        raise RunError(f"{path} is damaged, or no model of ours") from error
-
-
-def digest(model: BaseAlgorithm) -> str:
-    """SHA-256 over names, shapes and bytes of the policy's tensors; equal exactly for equal networks."""
-    total = hashlib.sha256()
-    for name, tensor in sorted(model.policy.state_dict().items()):
-        array = tensor.detach().cpu().numpy()
-        total.update(f"policy/{name} {array.dtype.str} {array.shape}\n".encode())
-        total.update(array.tobytes())
-    return total.hexdigest()
-
-
-def not_finite(model: BaseAlgorithm) -> str | None:
-    """The name of the first tensor of the policy that holds an infinity or no number."""
-    return next((name for name, tensor in model.policy.state_dict().items() if not torch.isfinite(tensor).all()), None)
 
 
 def _parts(model: BaseAlgorithm) -> list[str]:

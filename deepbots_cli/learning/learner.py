@@ -1,0 +1,341 @@
+"""What learns: the interface between a training and an algorithm.
+
+A training asks its `Learner` for the same few things again and again: `collect` a fragment of experience, `update` the policy with it,
+and between the two its state, from which a resumed training goes on to the bit. An evaluation asks it to `predict`. `learning/sb3` has the
+learner of the built-in algorithms. An algorithm of another package that is derived from `scenario.training.Training` itself brings its own:
+a class derived from `ArrayLearner` or `Learner`, under the `import_path` of its model.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zipfile
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+import numpy as np
+
+from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.files import atomic_write
+from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState, read_arrays, write_arrays
+from deepbots_cli.plugins import import_attribute
+from deepbots_cli.program.task import Training
+from deepbots_cli.rollout.collector import Collector, Decision, Fragment
+from deepbots_cli.scenario.training import ALGORITHMS
+
+if TYPE_CHECKING:
+    import gymnasium as gym
+
+_MAX_DATA_BYTES = 8_000_000
+
+
+class Log(Protocol):
+    """Takes scalars by name; `dump` writes them at a step."""
+
+    def record(self, key: str, value: Any, exclude: Any = None) -> None: ...
+    def dump(self, step: int = 0) -> None: ...
+
+
+class Monitor(Protocol):
+    """Watches a training: evaluates, keeps the best model, says when to stop."""
+
+    defines_success: bool
+    """Whether the scenario says which episodes are a success."""
+
+    def on_step(self) -> bool:
+        """Called after each step of all rows; whether to go on."""
+
+    def on_collected(self) -> None:
+        """Called after a fragment, before the update."""
+
+    def on_end(self) -> None: ...
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a learner is made for; `longest_episode` is in steps, `collector` None for a policy that is not to learn."""
+
+    training: Training
+    observation_space: gym.Space[Any]
+    action_space: gym.Space[Any]
+    seed: int = 0
+    total_timesteps: int = 1
+    longest_episode: int = 1
+    collector: Collector | None = None
+
+
+@dataclass(frozen=True)
+class Initialization:
+    """The tensors of a policy that were taken over from another model; `not_copied` says why the rest begins afresh."""
+
+    copied: tuple[str, ...]
+    not_copied: Mapping[str, str]
+
+
+class Learner(ABC):
+    """An algorithm with its policy.
+
+    A training calls `begin`, restores a checkpoint if there is one, and calls `start`; then `collect` and `update` in turn; `end` at last.
+
+    Attributes:
+        setup: What it was made for.
+        steps: Timesteps, summed over all rows.
+        log: Takes scalars.
+        device: Where the policy is computed, as torch names it.
+    """
+
+    State: ClassVar[type[CheckpointState]] = CheckpointState
+    """The part of a checkpoint that is JSON."""
+    takes_masks = False
+    """Whether `predict` takes which options are allowed."""
+    confirms = False
+    """Whether one evaluation is not enough to end a training, since updates are large."""
+    device = "cpu"
+    setup: Setup
+    steps: int
+    log: Log
+
+    @abstractmethod
+    def __init__(self, setup: Setup) -> None: ...
+
+    @classmethod
+    def check(cls, training: Training) -> None:
+        """Refuse settings that cannot be trained with, whatever the world is.
+
+        Raises:
+            UsageError: They cannot.
+        """
+        if training.normalize is not None:
+            raise UsageError(f"{training.algorithm} does not normalize rewards; leave out 'normalize' under 'train'")
+
+    @abstractmethod
+    def begin(self, total: int, monitor: Monitor, followers: Sequence[Any] = ()) -> None:
+        """Prepare for training up to `total` steps; `followers` are the callbacks of other packages."""
+
+    @abstractmethod
+    def start(self) -> None:
+        """Called before the first fragment of this process."""
+
+    @abstractmethod
+    def collect(self) -> bool:
+        """Take in the next fragment; False if the monitor ended it before."""
+
+    @abstractmethod
+    def update(self) -> None:
+        """Learn from the last fragment."""
+
+    @abstractmethod
+    def end(self) -> None:
+        """Called after the last update."""
+
+    @abstractmethod
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False, action_masks: Any = None
+    ) -> tuple[Any, Any]:
+        """Actions for an observation, or for rows of them, and the memory of a recurrent policy after it."""
+
+    @abstractmethod
+    def recent(self) -> tuple[Any, Array, Array | None]:
+        """Recent observations and actions, rows last but one, and the log-probabilities of the actions if they are known."""
+
+    @abstractmethod
+    def weights(self) -> dict[str, Array]:
+        """The arrays of the policy."""
+
+    def digest(self) -> str:
+        """SHA-256 over names, shapes and bytes of the weights; equal exactly for equal policies."""
+        total = hashlib.sha256()
+        for name, array in sorted(self.weights().items()):
+            total.update(f"policy/{name} {array.dtype.str} {array.shape}\n".encode())
+            total.update(array.tobytes())
+        return total.hexdigest()
+
+    def not_finite(self) -> str | None:
+        """The name of the first array of the policy that holds an infinity or no number."""
+        return next((name for name, array in self.weights().items() if not np.isfinite(array).all()), None)
+
+    # Models
+
+    @abstractmethod
+    def save(self, path: Path) -> None:
+        """Write a model: a zip file, in which `data` is JSON with the number of steps as `num_timesteps`.
+
+        Raises:
+            RunError: The file cannot be written.
+        """
+
+    @abstractmethod
+    def load(self, path: Path) -> None:
+        """Take over a model.
+
+        Raises:
+            RunError: The file is missing, damaged, or of another policy.
+        """
+
+    def initialize(self, path: Path) -> Initialization:
+        """Begin with the weights of another model.
+
+        Raises:
+            RunError: The file is missing or damaged.
+            UsageError: The learner cannot do this, or nothing fits.
+        """
+        raise UsageError(f"{self.setup.training.algorithm} cannot begin with the weights of another run; leave out --initialize-from")
+
+    # Checkpoints
+
+    def attach(self, folder: Path) -> None:
+        """Called before the first checkpoint, with the folder of the checkpoints."""
+        self.checkpoint_folder = folder
+
+    def state(self) -> dict[str, Any]:
+        """The fields of `State` that `CheckpointState` does not have."""
+        return {}
+
+    def shared_files(self) -> Iterable[Path]:
+        """Files in the folder of the checkpoints that the present one needs beside its own."""
+        return ()
+
+    @abstractmethod
+    def arrays(self) -> dict[str, Array]:
+        """The arrays of a checkpoint beside the model."""
+
+    def specs(self, state: CheckpointState) -> dict[str, ArraySpec]:
+        """What these arrays must be."""
+        return _specs(self.arrays())
+
+    @abstractmethod
+    def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
+        """Go on from a checkpoint, after `load`; the worlds are restored. `same` says whether they came to the same observations."""
+
+    # For explanations
+
+    def values(self, observations: Sequence[Any]) -> Array | None:
+        """The critic's value of each observation; None without a critic."""
+        return None
+
+    def network(self) -> Any:
+        """The layers of the policy, for an export (`learning.sb3.networks.PolicyNetwork`).
+
+        Raises:
+            UsageError: It cannot be exported.
+        """
+        raise UsageError(f"policies of {self.setup.training.algorithm} cannot be exported")
+
+
+class ArrayLearner(Learner):
+    """A learner whose numbers are arrays that it changes in place, and that a model and a checkpoint therefore keep by themselves.
+
+    A subclass has `act`, `update`, `predict` and `weights`, and `memory` if the next update depends on more.
+
+    Attributes:
+        fragment_steps: The steps of each row between two updates.
+        fragment: The experience of the last `collect`.
+    """
+
+    fragment_steps = 64
+    fragment: Fragment
+
+    def __init__(self, setup: Setup) -> None:
+        self.setup, self.steps = setup, 0
+
+    @abstractmethod
+    def act(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
+        """Actions to learn from, a row each; `starts` says in which rows an episode begins."""
+
+    def memory(self) -> dict[str, Array]:
+        """Arrays beside `weights` that the next update depends on."""
+        return {}
+
+    def begin(self, total: int, monitor: Monitor, followers: Sequence[Any] = ()) -> None:
+        if followers:
+            raise UsageError(f"callbacks follow the built-in algorithms, and {self.setup.training.algorithm} is none; leave out --callback")
+        self._monitor = monitor
+
+    def start(self) -> None:
+        pass
+
+    def collect(self) -> bool:
+        collector = self.setup.collector
+        if collector is None:
+            raise RuntimeError("a learner without worlds cannot collect")
+        rows = collector.rows
+
+        def on_step(_: Any) -> bool:
+            self.steps += rows
+            return self._monitor.on_step()
+
+        fragment = collector.collect(self.act, self.fragment_steps, on_step, with_masks=self.takes_masks)
+        if fragment is None:
+            return False
+        self.fragment = fragment
+        self._monitor.on_collected()
+        self.log.dump(self.steps)
+        return True
+
+    def end(self) -> None:
+        self._monitor.on_end()
+
+    def recent(self) -> tuple[Any, Array, Array | None]:
+        return self.fragment.observations, self.fragment.actions, None
+
+    def save(self, path: Path) -> None:
+        with atomic_write(path, RunError) as draft:
+            write_arrays(draft, self.weights(), data=json.dumps({"num_timesteps": self.steps}))
+
+    def load(self, path: Path) -> None:
+        _overwrite(self.weights(), read_arrays(path, _specs(self.weights()), others=("data",)))
+
+    def arrays(self) -> dict[str, Array]:
+        return self.memory()
+
+    def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
+        self.steps = kept.steps
+        _overwrite(self.memory(), arrays)
+
+
+def class_of(training: Training) -> type[Learner]:
+    """The learner of the algorithm that the scenario names."""
+    from deepbots_cli.learning.sb3.learner import StableLearner  # which needs this module
+
+    model = ALGORITHMS.get(training.algorithm)
+    if model is None or model.is_derived():
+        return StableLearner
+    found: type[Learner] = import_attribute(model.import_path)
+    return found
+
+
+def create(setup: Setup) -> Learner:
+    """A learner that has learned nothing yet.
+
+    Raises:
+        UsageError: The algorithm is unknown, or refuses the settings or the spaces.
+        MissingExtraError: The algorithm is of a package that is not installed.
+    """
+    return class_of(setup.training)(setup)
+
+
+def steps_of(path: Path) -> int:
+    """After how many steps a model was saved.
+
+    Raises:
+        RunError: The file is missing, damaged, or no model.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive, archive.open("data") as member:
+            return int(json.loads(member.read(_MAX_DATA_BYTES))["num_timesteps"])
+    except (OSError, ArithmeticError, EOFError, KeyError, RuntimeError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        # It is encrypted, packed otherwise, or its steps are infinite.
+        raise RunError(f"{path} is damaged, or no model of ours") from error
+
+
+def _specs(arrays: Mapping[str, Array]) -> dict[str, ArraySpec]:
+    return {name: ArraySpec.like(array) for name, array in arrays.items()}
+
+
+def _overwrite(arrays: Mapping[str, Array], kept: Mapping[str, Array]) -> None:
+    for name, array in arrays.items():
+        array[...] = kept[name]

@@ -1,0 +1,247 @@
+"""The learner of the built-in algorithms: Stable-Baselines3 and sb3-contrib behind the interface of `learning.learner`.
+
+On-policy algorithms take fragments of a collector (`rollouts.py`). Off-policy algorithms step the worlds by their own `collect_rollouts`,
+which draws noise, stores steps and counts episodes in ways of its own; a fragment is what they collect between two updates. So do
+algorithms of other packages that have a `collect_rollouts` of their own.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.type_aliases import RolloutReturn
+from stable_baselines3.common.vec_env import VecNormalize
+
+from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState
+from deepbots_cli.learning.learner import Initialization, Learner, Monitor, Setup
+from deepbots_cli.learning.sb3 import algorithms, models, networks, rollouts, state
+from deepbots_cli.learning.sb3.environment import CollectorEnvironment, as_returned, spaces_only
+from deepbots_cli.program.task import Training
+from deepbots_cli.rollout.collector import LocalCollector
+from deepbots_cli.rollout.worlds import WorldsStep
+
+SCALAR_WINDOW_STEPS = 256
+"""Steps of each copy of the environment that the scalars of an off-policy algorithm describe."""
+
+
+class StableLearner(Learner):
+    """An algorithm of Stable-Baselines3; `model` is the algorithm itself."""
+
+    State = state.StableState
+
+    def __init__(self, setup: Setup) -> None:
+        self.setup = setup
+        self.check(setup.training)
+        env: Any = spaces_only(setup.observation_space, setup.action_space)
+        if isinstance(setup.collector, LocalCollector):
+            env = CollectorEnvironment(setup.collector)
+            if setup.training.normalize is not None:
+                gamma: Any = next((h.value for h in setup.training.hyperparameters if h.name == "gamma"), 0.99)
+                env = VecNormalize(env, norm_obs=False, gamma=gamma)  # rewards by a running standard deviation of the return
+        self.model: Any = algorithms.create(
+            setup.training,
+            env,
+            seed=setup.seed,
+            total_timesteps=setup.total_timesteps,
+            longest_episode=setup.longest_episode,
+            to_learn=setup.collector is not None,
+            mixin=_SavesPlainly,
+        )
+        self.takes_masks = algorithms.takes_masks(self.model)
+        self.confirms = isinstance(self.model, OffPolicyAlgorithm)
+        self._by_fragments = algorithms.collects_as_usual(setup.training, self.model)
+        self._followers: Sequence[BaseCallback] = ()
+        if setup.collector is None:
+            self.model.policy.set_training_mode(False)
+
+    @classmethod
+    def check(cls, training: Training) -> None:
+        algorithms.check(training)
+
+    @property
+    def steps(self) -> int:  # type: ignore[override]  # the algorithm counts
+        return int(self.model.num_timesteps)
+
+    # Acting and learning
+
+    def begin(self, total: int, monitor: Monitor, followers: Sequence[Any] = ()) -> None:
+        self.model.set_logger(self.log)
+        self._followers = followers
+        callbacks = [_MonitorCallback(monitor), *followers]
+        self._total, self._callback = self.model._setup_learn(total, callbacks if followers else callbacks[0])
+        self._log_interval = signature(type(self.model).learn).parameters["log_interval"].default
+
+    def start(self) -> None:
+        self._callback.on_training_start({"self": self.model, "total_timesteps": self._total, "callback": self._callback}, {})
+
+    def collect(self) -> bool:
+        model = self.model
+        with models.overflow_explained():
+            if self.confirms:
+                self._rollout: RolloutReturn = model.collect_rollouts(
+                    model.env,
+                    train_freq=model.train_freq,
+                    action_noise=model.action_noise,
+                    callback=self._callback,
+                    learning_starts=model.learning_starts,
+                    replay_buffer=model.replay_buffer,
+                    log_interval=self._log_interval,
+                )
+                return bool(self._rollout.continue_training)
+            if not self._by_fragments:
+                return bool(model.collect_rollouts(model.env, self._callback, model.rollout_buffer, n_rollout_steps=model.n_steps))
+            actor = rollouts.RolloutActor(model)
+            self._callback.on_rollout_start()
+            fragment = model.env.unwrapped.collector.collect(actor, model.n_steps, self._on_step, with_masks=self.takes_masks)
+            if fragment is None:
+                return False
+            rollouts.fill(model, fragment)
+        self._callback.on_rollout_end()
+        return True
+
+    def _on_step(self, step: WorldsStep) -> bool:
+        model = self.model
+        model.num_timesteps += model.n_envs
+        if self._followers:
+            observations, rewards, dones, infos = as_returned(step)
+            self._callback.update_locals({"new_obs": observations, "rewards": rewards, "dones": dones, "infos": infos})
+        if not self._callback.on_step():
+            return False
+        for ending in step.endings:
+            model.ep_info_buffer.append({"r": ending.episode.total_return, "l": ending.episode.length})
+            model.ep_success_buffer.append(ending.episode.is_success)
+        return True
+
+    def update(self) -> None:
+        model = self.model
+        with models.overflow_explained():
+            if not self.confirms:
+                model._update_current_progress_remaining(model.num_timesteps, self._total)
+                count = model.num_timesteps // (model.n_steps * model.n_envs)
+                if count % self._log_interval == 0:
+                    model.dump_logs(count)
+                model.train()
+            elif model.num_timesteps > model.learning_starts:
+                gradient_steps = model.gradient_steps if model.gradient_steps >= 0 else self._rollout.episode_timesteps
+                if gradient_steps > 0:
+                    model.train(batch_size=model.batch_size, gradient_steps=gradient_steps)
+
+    def end(self) -> None:
+        self._callback.on_training_end()
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False, action_masks: Any = None
+    ) -> tuple[Any, Any]:
+        """As of the algorithm.
+
+        Raises:
+            RunError: An action is not finite: weights so large that none follows are a problem of the run.
+        """
+        masks = {} if action_masks is None else {"action_masks": action_masks}
+        with models.overflow_explained():
+            actions, state = self.model.predict(observation, state=state, episode_start=episode_start, deterministic=deterministic, **masks)
+            models.check_actions_finite(actions)
+        return actions, state
+
+    def recent(self) -> tuple[Any, Array, Array | None]:
+        """Those of the last roll-out, or of the last steps in the replay buffer."""
+        if not self.confirms:
+            buffer: Any = self.model.rollout_buffer
+            return buffer.observations, buffer.actions, buffer.log_probs
+        buffer = self.model.replay_buffer
+        rows = np.arange(buffer.pos - min(SCALAR_WINDOW_STEPS, buffer.size()), buffer.pos) % buffer.buffer_size
+        seen = buffer.observations
+        return {key: part[rows] for key, part in seen.items()} if isinstance(seen, dict) else seen[rows], buffer.actions[rows], None
+
+    # Numbers
+
+    def weights(self) -> dict[str, Array]:
+        return {name: tensor.detach().cpu().numpy() for name, tensor in self.model.policy.state_dict().items()}
+
+    def save(self, path: Path) -> None:
+        models.save(path, self.model)
+
+    def load(self, path: Path) -> None:
+        models.load(path, self.model)
+
+    def initialize(self, path: Path) -> Initialization:
+        return models.initialize(path, self.model)
+
+    # Checkpoints
+
+    def attach(self, folder: Path) -> None:
+        self._replay = state.ReplayFiles(folder / "replay")
+
+    def state(self) -> dict[str, Any]:
+        buffer = getattr(self.model, "replay_buffer", None)
+        if buffer is not None:
+            self._replay.append(buffer, self.steps // self.model.n_envs)
+        return state.fields_of(self.model) | self._replay.fields(buffer)
+
+    def shared_files(self) -> Iterable[Path]:
+        return self._replay.paths()
+
+    def arrays(self) -> dict[str, Array]:
+        return state.arrays_of(self.model)
+
+    def specs(self, state_: CheckpointState) -> dict[str, ArraySpec]:
+        if state_.steps % self.model.n_envs:
+            raise ValueError(f"{len(state_.starts)} worlds after {state_.steps} steps")
+        return state.specs_of(self.model)
+
+    def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
+        model = self.model
+        state.restore(model, kept, arrays)
+        if (buffer := getattr(model, "replay_buffer", None)) is not None:
+            starts = arrays.get("episode_starts") if same else None
+            self._replay.refill(buffer, kept, self.steps // model.n_envs, starts, model.action_space)
+
+    @property
+    def device(self) -> str:  # type: ignore[override]
+        return str(self.model.device.type)
+
+    # For explanations
+
+    def values(self, observations: Any) -> Array | None:
+        return networks.critic_values(self.setup.training, self.model.policy, observations)
+
+    def network(self) -> networks.PolicyNetwork:
+        return networks.policy_network(self.setup.training, self.model.policy)
+
+
+class _SavesPlainly:
+    """Mixed in before an algorithm."""
+
+    def save(self, path: str | Path, *_: Any, **__: Any) -> None:
+        """Write the model as a run keeps it, for a callback: Stable-Baselines3 would also pickle the worlds."""
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        models.save(path if path.suffix else path.with_suffix(".zip"), self)  # type: ignore[arg-type]  # of the algorithm
+
+
+class _MonitorCallback(BaseCallback):
+    """Passes the calls of Stable-Baselines3 on to the monitor of the training."""
+
+    def __init__(self, monitor: Monitor) -> None:
+        super().__init__()
+        self._monitor = monitor
+
+    def _on_training_start(self) -> None:
+        if not self._monitor.defines_success:
+            self.model.ep_success_buffer = deque(maxlen=0)  # or TensorBoard would show a success rate of 0 beside any return
+
+    def _on_step(self) -> bool:
+        return self._monitor.on_step()
+
+    def _on_rollout_end(self) -> None:
+        self._monitor.on_collected()
+
+    def _on_training_end(self) -> None:
+        self._monitor.on_end()

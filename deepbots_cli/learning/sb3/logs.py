@@ -1,0 +1,73 @@
+"""The log of a training: scalars for TensorBoard and for the loggers of other packages, and what of them is not yet written."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.logger import HParam, Logger, TensorBoardOutputFormat
+
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
+from deepbots_cli.learning.checkpoint_files import NumpyScalar, Pending
+from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
+from deepbots_cli.learning.sb3.plugins import PluginLogger
+from deepbots_cli.program.task import Training
+
+
+class TrainingLog(Logger):
+    """Collects scalars by name. `open` comes after a checkpoint is restored, which cuts the files."""
+
+    def __init__(self, run: Run) -> None:
+        super().__init__(str(run.tensorboard), [])
+        self._run = run
+
+    def open(self, training: Training, *, is_new: bool) -> None:
+        """Open the files. One of a new training begins with the scenario as text, and a page of hyperparameters."""
+        self._tensorboard = TensorBoardOutputFormat(str(self._run.tensorboard))
+        self.output_formats.append(self._tensorboard)
+        self.output_formats.extend(PluginLogger(name, self._run.path) for name in self._run.record.loggers)
+        if is_new:
+            self._describe(training)
+
+    def _describe(self, training: Training) -> None:
+        run = self._run
+        known = effective_hyperparameters(run.program, training.total_timesteps)
+        values = {entry.name: entry.value if isinstance(entry.value, bool | int | float | str) else str(entry.value) for entry in known}
+        values |= {"algorithm": training.algorithm, "environments": training.environments, "seed": run.record.seed}
+        metrics = {"rollout/ep_rew_mean": 0.0, "eval/mean_return": 0.0}
+        if run.program.defines_success:
+            metrics |= {"rollout/success_rate": 0.0, "eval/success_rate": 0.0}
+        scenario = (run.path / RESOLVED_NAME).read_text(encoding="utf-8")
+        content = {"hparams": HParam(values, metrics), "scenario": "".join(f"    {line}\n" for line in scenario.splitlines())}
+        self._tensorboard.write(content, dict.fromkeys(content, ()))
+
+    def flush(self) -> None:
+        """Write the file of TensorBoard out, whose size a checkpoint notes."""
+        self._tensorboard.writer.flush()
+
+    def pending(self) -> Pending:
+        """What was recorded and is not yet written, without pictures and the like."""
+        values = {name: encoded(value) for name, value in self.name_to_value.items() if isinstance(value, int | float | str | np.generic)}
+        excluded = {name: list(names) for name, names in self.name_to_excluded.items()}
+        return values, dict(self.name_to_count), excluded
+
+    def restore(self, pending: Pending) -> None:
+        values, counts, excluded = pending
+        self.name_to_value.update({name: number_of(value) for name, value in values.items()})
+        self.name_to_count.update(counts)
+        self.name_to_excluded.update({name: tuple(names) for name, names in excluded.items()})
+
+
+def encoded(value: Any) -> Any:
+    """A number of numpy with its type, and without NaN, which JSON does not have."""
+    if isinstance(value, np.generic):
+        plain = value.tolist()
+        return NumpyScalar(dtype=str(value.dtype), value=plain if math.isfinite(plain) else None)  # type: ignore[arg-type]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def number_of(value: Any) -> Any:
+    """The number that `encoded` returned."""
+    return value.number() if isinstance(value, NumpyScalar) else value

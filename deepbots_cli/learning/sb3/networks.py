@@ -1,0 +1,113 @@
+"""The layers of a policy of Stable-Baselines3, by the algorithm that made it: for an export, and the values of its critic."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.preprocessing import is_image_space
+from stable_baselines3.common.torch_layers import NatureCNN
+from torch import nn
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.program.task import Training
+from deepbots_cli.rollout.worlds import Array
+from deepbots_cli.scenario.training import ALGORITHMS
+
+
+@dataclass(frozen=True)
+class PolicyNetwork:
+    """What a policy computes, as modules of torch.
+
+    Attributes:
+        extractors: The first layers of each part of an observation, by name; None if the parts enter the layers as they are.
+        pictures: The parts that are divided by 255.
+        transposed: The parts whose channels come first in the network.
+        memory: The LSTM of a recurrent policy, after the extractors.
+        layers: From there to the logits of choices or the values of ranges.
+    """
+
+    extractors: Mapping[str, nn.Module] | None
+    pictures: frozenset[str]
+    transposed: frozenset[str]
+    memory: nn.LSTM | None
+    layers: nn.Module
+
+
+def _actor_critic(policy: Any) -> tuple[Any, nn.Module]:
+    return policy, nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net)
+
+
+def _q_network(policy: Any) -> tuple[Any, nn.Module]:
+    return policy.q_net, policy.q_net.q_net
+
+
+def _squashed_gaussian(policy: Any) -> tuple[Any, nn.Module]:
+    return policy.actor, nn.Sequential(policy.actor.latent_pi, policy.actor.mu, nn.Tanh())
+
+
+def _deterministic(policy: Any) -> tuple[Any, nn.Module]:
+    return policy.actor, policy.actor.mu  # whose last layer is a Tanh
+
+
+_ACTORS: Mapping[str, Callable[[Any], tuple[Any, nn.Module]]] = {
+    **dict.fromkeys(("PPO", "A2C", "MaskablePPO", "RecurrentPPO"), _actor_critic),
+    "DQN": _q_network,
+    **dict.fromkeys(("SAC", "TQC"), _squashed_gaussian),
+    **dict.fromkeys(("TD3", "DDPG"), _deterministic),
+}
+"""The owner of the extractor, and the layers after it."""
+
+
+def policy_network(training: Training, policy: Any) -> PolicyNetwork:
+    """The layers of the policy that an algorithm made.
+
+    Raises:
+        UsageError: It has no modules of torch.
+    """
+    if next(policy.parameters(), None) is None:
+        raise UsageError(f"the policy of {training.algorithm} has no networks in torch, and cannot be exported")
+    base = ALGORITHMS[training.algorithm].base()
+    owner, layers = _ACTORS[base](policy)
+    extractor = owner.pi_features_extractor if base in ("PPO", "A2C", "MaskablePPO", "RecurrentPPO") else owner.features_extractor
+    found = getattr(extractor, "extractors", None)  # of an observation with several parts
+    space = policy.observation_space
+    parts = space.spaces if found is not None else {"observation": space}
+    images = frozenset(name for name, part in parts.items() if is_image_space(part))
+    return PolicyNetwork(
+        extractors=None if found is None else {name: _plain(module) for name, module in found.items()},
+        pictures=images if policy.normalize_images else frozenset(),
+        transposed=images,
+        memory=policy.lstm_actor if base == "RecurrentPPO" else None,
+        layers=layers,
+    )
+
+
+def _plain(module: nn.Module) -> nn.Module:
+    return nn.Sequential(module.cnn, module.linear) if isinstance(module, NatureCNN) else module
+
+
+def critic_values(training: Training, policy: Any, observations: Sequence[Any]) -> Array | None:
+    """The critic's value of each observation: V, or Q of the action of the policy, the smaller one of two critics.
+
+    None for a policy without a network of torch, or with a memory.
+    """
+    base = ALGORITHMS[training.algorithm].base()
+    if not observations or base == "RecurrentPPO" or next(policy.parameters(), None) is None:
+        return None
+    parts = observations[0].keys() if isinstance(observations[0], dict) else None
+    stacked = {key: np.stack([each[key] for each in observations]) for key in parts} if parts else np.stack(observations)
+    with torch.no_grad():
+        seen, _ = policy.obs_to_tensor(stacked)
+        if base in ("PPO", "A2C", "MaskablePPO"):
+            values = policy.predict_values(seen).reshape(len(observations), -1)
+        elif base == "DQN":
+            values = policy.q_net(seen).max(dim=1, keepdim=True).values
+        else:
+            found = policy.critic(seen, policy._predict(seen, deterministic=True))  # the actor of SAC and TQC would sample
+            # TQC has an array of quantiles (rows, critics, quantiles), others a tuple of columns.
+            values = found.mean(dim=2) if isinstance(found, torch.Tensor) else torch.cat(found, dim=1)
+        return np.asarray(values.min(dim=1).values.cpu().numpy(), float)

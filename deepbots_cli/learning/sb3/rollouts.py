@@ -1,0 +1,129 @@
+"""On-policy roll-outs from fragments: an actor, and the roll-out buffer filled with what it collected.
+
+Both do what `collect_rollouts` of the library does, with the same random numbers in the same order, so that weights are equal to the bit.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.utils import obs_as_tensor
+from stable_baselines3.common.vec_env import VecTransposeImage
+
+from deepbots_cli.rollout.collector import Decision, Fragment
+from deepbots_cli.rollout.worlds import Array
+
+_LSTM_BUFFERS = ("hidden_states_pi", "cell_states_pi", "hidden_states_vf", "cell_states_vf")
+
+
+class RolloutActor:
+    """Acts with the policy of PPO, A2C, MaskablePPO or RecurrentPPO for one fragment.
+
+    The columns of a fragment are `action` before it is clipped, `values`, `log_probs`, `masks` where options are forbidden, and the state
+    of a recurrent policy before each step.
+    """
+
+    def __init__(self, model: Any) -> None:
+        self._model = model
+        self._is_recurrent = hasattr(model, "_last_lstm_states")
+        self._step = 0
+        model.policy.set_training_mode(False)
+        if model.use_sde:
+            model.policy.reset_noise(model.n_envs)
+
+    def __call__(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
+        model, policy = self._model, self._model.policy
+        columns: dict[str, Array] = {}
+        options: dict[str, Any] = {}
+        if model.use_sde and model.sde_sample_freq > 0 and self._step % model.sde_sample_freq == 0:
+            policy.reset_noise(model.n_envs)
+        self._step += 1
+        with torch.no_grad():
+            seen = obs_as_tensor(_prepared(model, observations), model.device)
+            if self._is_recurrent:
+                before = model._last_lstm_states
+                actions, values, log_probs, model._last_lstm_states = policy(seen, before, _floats(model, starts))
+                columns |= {
+                    name: part.cpu().numpy().swapaxes(0, 1) for name, part in zip(_LSTM_BUFFERS, [*before.pi, *before.vf], strict=True)
+                }
+            else:
+                if masks is not None:
+                    options["action_masks"] = columns["masks"] = masks
+                actions, values, log_probs = policy(seen, **options)
+        taken = actions = actions.cpu().numpy()
+        if isinstance(model.action_space, spaces.Box):
+            if policy.squash_output and not self._is_recurrent:
+                taken = policy.unscale_action(actions)
+            else:
+                taken = np.clip(actions, model.action_space.low, model.action_space.high)
+        columns |= {"action": actions, "values": values.cpu().numpy().flatten(), "log_probs": log_probs.cpu().numpy()}
+        return Decision(taken, columns)
+
+
+def fill(model: Any, fragment: Fragment) -> None:
+    """Put a fragment into the roll-out buffer of the model, with returns and advantages."""
+    buffer, columns = model.rollout_buffer, fragment.columns
+    buffer.reset()
+    rewards = _rewards(model, fragment)
+    observations = fragment.observations if isinstance(buffer.observations, dict) else {"": fragment.observations}
+    flat = {key: part.reshape(-1, *part.shape[2:]) for key, part in observations.items()}
+    if isinstance(buffer.observations, dict):
+        for key, part in _prepared(model, flat).items():
+            buffer.observations[key][...] = part.reshape(buffer.observations[key].shape)
+    else:
+        buffer.observations[...] = _prepared(model, flat[""]).reshape(buffer.observations.shape)
+    buffer.actions[...] = columns["action"].reshape(buffer.actions.shape)
+    buffer.rewards[...], buffer.episode_starts[...] = rewards, fragment.starts
+    buffer.values[...], buffer.log_probs[...] = columns["values"], columns["log_probs"]
+    if "masks" in columns:
+        buffer.action_masks[...] = columns["masks"].reshape(buffer.action_masks.shape)
+    for name in _LSTM_BUFFERS:
+        if name in columns:
+            getattr(buffer, name)[...] = columns[name].swapaxes(1, 2)
+    buffer.pos, buffer.full = buffer.buffer_size, True
+    model._last_obs, model._last_episode_starts = _prepared(model, fragment.following), fragment.following_starts
+    memory = () if "cell_states_vf" not in columns else (model._last_lstm_states.vf, _floats(model, fragment.following_starts))
+    with torch.no_grad():
+        values = model.policy.predict_values(obs_as_tensor(model._last_obs, model.device), *memory)
+    buffer.compute_returns_and_advantage(last_values=values, dones=fragment.following_starts)
+
+
+def _rewards(model: Any, fragment: Fragment) -> Array:
+    """Normalized if the scenario asks for it, and with the value of what would have followed where a time limit ended the episode."""
+    rewards, normalizer = fragment.rewards.copy(), model.get_vec_normalize_env()
+    if normalizer is not None:
+        ends = [*fragment.starts[1:], fragment.following_starts]
+        for number, done in enumerate(ends):
+            normalizer._update_reward(rewards[number])
+            rewards[number] = normalizer.normalize_reward(rewards[number])
+            normalizer.returns[done] = 0
+    for number, ending in fragment.endings:
+        if ending.timed_out:
+            seen, _ = model.policy.obs_to_tensor(_prepared(model, ending.observation))
+            memory = _memory_after(model, fragment, number, ending.row)
+            with torch.no_grad():
+                rewards[number, ending.row] += model.gamma * model.policy.predict_values(seen, *memory)[0]
+    return rewards
+
+
+def _memory_after(model: Any, fragment: Fragment, number: int, row: int) -> tuple[Any, ...]:
+    """What `predict_values` of a recurrent policy takes after a step of a row, beside the observation."""
+    if "cell_states_vf" not in fragment.columns:
+        return ()
+    if number + 1 < len(fragment.rewards):
+        parts = [torch.from_numpy(fragment.columns[name][number + 1, row][:, None].copy()) for name in _LSTM_BUFFERS[2:]]
+    else:
+        parts = [part[:, row : row + 1].contiguous() for part in model._last_lstm_states.vf]
+    return tuple(part.to(model.device) for part in parts), _floats(model, np.array([False]))
+
+
+def _floats(model: Any, truths: Array) -> torch.Tensor:
+    return torch.tensor(truths, dtype=torch.float32, device=model.device)
+
+
+def _prepared(model: Any, observations: Any) -> Any:
+    """Observations as the policy takes them: with the channels of pictures first."""
+    return model.env.transpose_observations(observations) if isinstance(model.env, VecTransposeImage) else observations

@@ -1,0 +1,219 @@
+"""What a checkpoint keeps of an algorithm of Stable-Baselines3 beside its model: counters, noise, memory, and the replay buffer.
+
+Between two roll-outs the roll-out buffer is empty, and every local variable of the library's loops has its initial value. The rows of a
+replay buffer are written once, into files that several checkpoints share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, get_args
+
+import numpy as np
+import torch
+from pydantic import Field, model_validator
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.her import HerReplayBuffer
+
+from deepbots_cli.learning.checkpoint_files import (
+    Array,
+    ArraySpec,
+    CheckpointPart,
+    CheckpointState,
+    Count,
+    GeneratorState,
+    Number,
+    check_actions,
+    flush_to_disk,
+    read_arrays,
+    write_arrays,
+)
+from deepbots_cli.learning.sb3.algorithms import DecayingNoise
+from deepbots_cli.learning.sb3.logs import encoded, number_of
+
+_BUFFER_COLUMNS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts", "ep_start")
+
+CounterName = Literal["num_timesteps", "_episode_num", "_n_updates", "_n_calls", "_current_progress_remaining", "exploration_rate"]
+"""Counters of Stable-Baselines3; each algorithm has some of them."""
+
+
+class EpisodeInfo(CheckpointPart):
+    """Return and length of an episode, as Stable-Baselines3 keeps them."""
+
+    r: Number
+    l: Number  # noqa: E741  # the name of Stable-Baselines3
+
+
+class StableState(CheckpointState):
+    """The part of a checkpoint that is JSON."""
+
+    counts: dict[CounterName, Count | float]
+    infos: list[EpisodeInfo]
+    successes: list[bool]
+    action_space: GeneratorState
+    segments: Annotated[list[tuple[Count, Count]], Field(max_length=1_000_000)]
+    """First and last step (of a row of the environment) of each file of the replay buffer."""
+    replay: tuple[Count, Count]
+    """The size of the replay buffer, and the step in its first row."""
+
+    @model_validator(mode="after")
+    def _fits_its_counters(self) -> Self:
+        if self.counts.get("num_timesteps") != self.steps:
+            raise ValueError("its counts of steps contradict each other")
+        gaps = any(before[1] != after[0] for before, after in pairwise(self.segments))
+        if gaps or any(first >= last or last > self.steps for first, last in self.segments) or self.replay[1] > self.steps:
+            raise ValueError("the segments of its replay buffer contradict each other")
+        return self
+
+
+def fields_of(model: Any) -> dict[str, Any]:
+    """The fields of `StableState`, without those of the replay buffer."""
+    return {
+        "counts": {name: getattr(model, name) for name in get_args(CounterName) if hasattr(model, name)},
+        "infos": [EpisodeInfo(r=encoded(info["r"]), l=encoded(info["l"])) for info in model.ep_info_buffer or ()],
+        "successes": [bool(success) for success in model.ep_success_buffer or ()],
+        "action_space": model.action_space.np_random.bit_generator.state,
+    }
+
+
+def arrays_of(model: Any) -> dict[str, Array]:
+    arrays: dict[str, Array] = {f"noise/{i}": noise.drift for i, noise in enumerate(_noises(model)) if noise.drift is not None}
+    arrays |= {f"lstm/{index}": tensor.cpu().numpy() for index, tensor in enumerate(_memory(model))}
+    if (normalizer := model.get_vec_normalize_env()) is not None:
+        statistics = normalizer.ret_rms
+        arrays |= {"returns": normalizer.returns, "return_statistics": np.array([statistics.mean, statistics.var, statistics.count])}
+    if isinstance(buffer := getattr(model, "replay_buffer", None), HerReplayBuffer):
+        arrays["episode_starts"] = buffer._current_ep_start
+    return arrays
+
+
+def specs_of(model: Any) -> dict[str, ArraySpec]:
+    """What the arrays of a checkpoint must be, after those of a model that has just begun."""
+    drift = np.dtype(float), model.action_space.shape
+    specs = {name: ArraySpec.like(array) for name, array in arrays_of(model).items()}
+    return specs | {f"noise/{index}": ArraySpec(*drift, is_optional=True) for index in range(len(_noises(model)))}
+
+
+def restore(model: Any, state: StableState, arrays: Mapping[str, Array]) -> None:
+    """Put the state of a checkpoint in the place of a fresh one, but for the replay buffer."""
+    for counter, value in state.counts.items():
+        setattr(model, counter, type(getattr(model, counter))(value))
+    model._num_timesteps_at_start = model.num_timesteps
+    model.ep_info_buffer.extend({"r": number_of(info.r), "l": number_of(info.l)} for info in state.infos)
+    model.ep_success_buffer.extend(state.successes)
+    model._last_obs = model.env.reset()  # of the episodes that go on
+    model._last_episode_starts = model.env.unwrapped.collector.starts
+    for index, tensor in enumerate(_memory(model)):
+        tensor.copy_(torch.from_numpy(arrays[f"lstm/{index}"]))
+    for index, noise in enumerate(_noises(model)):
+        noise.drift = arrays.get(f"noise/{index}")
+    if (normalizer := model.get_vec_normalize_env()) is not None:
+        model._last_original_obs = normalizer.get_original_obs()
+        mean, var, count = arrays["return_statistics"]
+        if var < 0 or count <= 0:
+            raise ValueError("the statistics of the returns are impossible")
+        normalizer.ret_rms.mean, normalizer.ret_rms.var, normalizer.ret_rms.count = mean, var, float(count)
+        normalizer.returns = arrays["returns"]
+    model.action_space.np_random.bit_generator.state = state.action_space.model_dump()
+
+
+class ReplayFiles:
+    """The rows of a replay buffer in segments: files in a folder, each written once."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._segments: list[tuple[int, int]] = []
+        self._offset = 0
+
+    def fields(self, buffer: ReplayBuffer | None) -> dict[str, Any]:
+        """The fields of `StableState`."""
+        return {"segments": self._segments, "replay": (0 if buffer is None else buffer.buffer_size, self._offset)}
+
+    def paths(self) -> Iterable[Path]:
+        return (self._path(*segment) for segment in self._segments)
+
+    def _path(self, first: int, last: int) -> Path:
+        return self._folder / f"{first:012d}-{last:012d}.npz"
+
+    def append(self, buffer: ReplayBuffer, added: int) -> None:
+        """Write the rows that are new; forget the segments of which nothing is left in the buffer."""
+        first = max(self._segments[-1][1] if self._segments else 0, added - buffer.buffer_size)
+        self._segments = [segment for segment in self._segments if segment[1] > added - buffer.buffer_size]
+        if first == added:
+            return
+        rows = self._rows(buffer, first, added)
+        self._segments.append((first, added))
+        self._folder.mkdir(exist_ok=True)
+        path = self._path(first, added)
+        write_arrays(path, {name: column[rows] for name, column in _columns(buffer).items()})
+        flush_to_disk(path)
+
+    def _rows(self, buffer: ReplayBuffer, first: int, last: int) -> Array:
+        """The rows of the ring for the steps from `first` to before `last`."""
+        return (np.arange(first, last) - self._offset) % buffer.buffer_size
+
+    def refill(self, buffer: ReplayBuffer, state: StableState, added: int, starts: Array | None, action_space: Any) -> None:
+        """Read the segments in their order. A training with another goal may have a buffer of another size.
+
+        `starts` are the rows in which running episodes begin, for hindsight; None where other episodes have begun.
+        """
+        size, self._offset = state.replay
+        self._segments = list(state.segments)
+        same = size == buffer.buffer_size
+        oldest = max(self._segments[0][0] if self._segments else 0, added - min(size, buffer.buffer_size))
+        if not same:
+            self._offset = oldest
+        columns = _columns(buffer)
+        whole = self._segments[-1][1] == added and self._segments[0][0] <= max(self._offset, added - size) if self._segments else not added
+        if not whole:
+            raise ValueError("the segments of the replay buffer are not all there")
+        for first, last in self._segments:
+            specs = {name: ArraySpec(column.dtype, (last - first, *column.shape[1:])) for name, column in columns.items()}
+            read, rows = read_arrays(self._path(first, last), specs), self._rows(buffer, first, last)[-buffer.buffer_size :]
+            for name, column in columns.items():
+                column[rows] = read[name][-len(rows) :]
+            check_actions(read["actions"], action_space)
+        buffer.pos, buffer.full = (added - self._offset) % buffer.buffer_size, added - self._offset >= buffer.buffer_size
+        if isinstance(buffer, HerReplayBuffer):
+            self._find_episodes(buffer, oldest, added, begin_anew=not same)
+            starts = starts if same and starts is not None else np.array(buffer.pos)
+            if not ((starts >= 0) & (starts < buffer.buffer_size)).all():
+                raise ValueError("an episode of the replay buffer begins outside of it")
+            buffer._current_ep_start[:] = starts
+
+    def _find_episodes(self, buffer: HerReplayBuffer, oldest: int, added: int, *, begin_anew: bool) -> None:
+        """The length of each episode that ended and is whole; 0 elsewhere, which is not drawn from."""
+        rows = self._rows(buffer, oldest, added)
+        buffer.ep_length[:] = 0
+        for row in range(buffer.n_envs):
+            first = 0
+            for end in (np.flatnonzero(buffer.dones[rows, row]) + 1).tolist():
+                episode = rows[first:end]
+                if begin_anew and first:
+                    buffer.ep_start[episode, row] = episode[0]
+                if (not begin_anew or first) and (buffer.ep_start[episode, row] == episode[0]).all():  # else its beginning was overwritten
+                    buffer.ep_length[episode, row] = end - first
+                first = end
+
+
+def _columns(buffer: ReplayBuffer) -> dict[str, Array]:
+    """The arrays of a replay buffer that have a row for each step."""
+    return {key: part for name in _BUFFER_COLUMNS if hasattr(buffer, name) for key, part in _flat(name, getattr(buffer, name))}
+
+
+def _flat(name: str, value: Any) -> Iterator[tuple[str, Array]]:
+    """An observation is an array, or a dictionary of arrays."""
+    yield from ((f"{name}/{key}", part) for key, part in value.items()) if isinstance(value, dict) else [(name, value)]
+
+
+def _noises(model: Any) -> list[DecayingNoise]:
+    noise = getattr(model, "action_noise", None)
+    return [] if noise is None else list(getattr(noise, "noises", [noise]))
+
+
+def _memory(model: Any) -> list[torch.Tensor]:
+    """The state of a recurrent policy between two steps."""
+    states = getattr(model, "_last_lstm_states", None)
+    return [] if states is None else [*states.pi, *states.vf]

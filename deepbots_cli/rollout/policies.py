@@ -1,0 +1,282 @@
+"""Episodes of a policy, in several worlds at a time with results that do not depend on how many.
+
+A matrix product may round a row otherwise when it stands in another place or among another number of rows, and a rounding is enough to tip
+an action. Every forward pass therefore has `FORWARD_BATCH_SIZE` rows, and episode k always sits in row k mod `FORWARD_BATCH_SIZE`; what the
+other rows hold does not touch it. This, and the same starts for every policy, is what `evaluate_policy` of learning libraries cannot do.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, Protocol
+
+import gymnasium as gym
+import numpy as np
+import torch
+
+from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.rollout.episode import Driver, Episode, EpisodeAccumulator, Start, Step, play, steps
+from deepbots_cli.rollout.worlds import Array, BatchEpisodes, has_copies
+from deepbots_cli.runtime.batch import BatchSupervisor
+from deepbots_cli.runtime.streams import derive_seed
+
+FORWARD_BATCH_SIZE = 8
+"""A forward pass of a small policy takes about 0.1 ms for any number of rows up to 16; more worlds than 8 gain little."""
+
+OnEpisode = Callable[[int, int], None]
+"""Is told after each episode how many are done, and of how many."""
+StopCondition = Callable[[Sequence[Episode]], bool]
+"""Whether the first episodes of an evaluation are enough."""
+
+
+class Predictor(Protocol):
+    """A policy: actions for rows of observations, and the memory of a recurrent policy after them."""
+
+    takes_masks: bool
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False, action_masks: Any = None
+    ) -> tuple[Any, Any]: ...
+
+
+def play_episodes(
+    policy: Predictor,
+    worlds: Sequence[gym.Env[Any, Any]],
+    seeds: Sequence[int],
+    *,
+    deterministic: bool,
+    on_episode: OnEpisode | None = None,
+    until: StopCondition | None = None,
+) -> list[Episode]:
+    """One episode from each seed, in the order of `seeds`.
+
+    Uses up to `FORWARD_BATCH_SIZE` of the worlds; a sampling policy or a team only one. With `until`, the episodes end with the first one
+    after which it returns True. Episodes count in the order of their seeds, so the result is the same for any number of worlds.
+    """
+    on_episode, until = on_episode or (lambda done, of: None), until or (lambda episodes: False)
+    episodes: list[Episode] = []
+    if has_copies(worlds[0]):
+        driver = PolicyDriver(policy, worlds[0], deterministic=deterministic)
+        for seed in seeds:
+            episodes.append(play(worlds[0], driver, Start(seed)))
+            on_episode(len(episodes), len(seeds))
+            if until(episodes):
+                break
+        return episodes
+    together = min(len(worlds), FORWARD_BATCH_SIZE) if deterministic else 1
+    forward = ForwardPass(worlds[0].observation_space, _choices(worlds[0]) if policy.takes_masks else None)
+    finished: dict[int, Episode] = {}
+    for first in range(0, min(FORWARD_BATCH_SIZE, len(seeds)), together):
+        rows = range(first, min(first + together, FORWARD_BATCH_SIZE, len(seeds)))
+        lanes = [
+            EvaluationLane(world, row, range(row, len(seeds), FORWARD_BATCH_SIZE), seeds) for world, row in zip(worlds, rows, strict=False)
+        ]
+        running = [lane for lane in lanes if lane.begin(forward)]
+        while running:
+            actions = forward.predict(policy, deterministic=deterministic)
+            for lane in running:
+                episode = lane.step(actions[lane.row], forward)
+                if episode is not None:
+                    finished[lane.number] = episode
+                    on_episode(len(finished), len(seeds))
+            if _complete(episodes, finished, until):
+                return episodes
+            running = [lane for lane in running if lane.number not in finished or lane.begin(forward)]
+    return episodes
+
+
+def _complete(episodes: list[Episode], finished: dict[int, Episode], until: StopCondition) -> bool:
+    """Append the episodes that follow in the order of their numbers; whether they are enough."""
+    while (following := finished.get(len(episodes))) is not None:
+        episodes.append(following)
+        if until(episodes):
+            return True
+    return False
+
+
+def play_batch(
+    policy: Predictor,
+    worlds: BatchSupervisor,
+    seeds: Sequence[int],
+    *,
+    on_episode: OnEpisode | None = None,
+    until: StopCondition | None = None,
+) -> list[Episode] | None:
+    """The episodes of `play_episodes` in a batch of worlds, with the likeliest actions; there are at least as many seeds as worlds.
+
+    World i sits in row i mod `FORWARD_BATCH_SIZE` of one of several forward passes, and goes through episodes that sit in the same row of
+    `play_episodes`.
+
+    Returns:
+        The same as `play_episodes`. None if a world fails: `play_episodes` then says where, and keeps its episode.
+    """
+    on_episode, until = on_episode or (lambda done, of: None), until or (lambda episodes: False)
+    size, count = FORWARD_BATCH_SIZE, worlds.count
+    passes = [ForwardPass(worlds.observation_space, None) for _ in range(0, count, size)]
+    waiting = [deque(range(count + (row - count) % size, len(seeds), size)) for row in range(size)]
+    numbers, running = list(range(count)), BatchEpisodes(worlds)
+    finished: dict[int, Episode] = {}
+    episodes: list[Episode] = []
+    answers: list[Any] = [None] * len(passes)
+    lost = len(worlds.losses)
+    try:
+        seen = worlds.reset(seeds[:count])
+        drawn = [single.drawn() for single in worlds.singles]
+        while not running.resting.all():
+            for place, forward in enumerate(passes):
+                those = slice(place * size, min(count, (place + 1) * size))
+                if answers[place] is None or not running.resting[those].all():
+                    forward.put_all(seen, those)
+                    answers[place] = forward.predict(policy, deterministic=True)
+            outcome = running.step_all(np.concatenate(answers)[:count])
+            if len(worlds.losses) > lost:
+                return None
+            begun = []
+            for place, world in enumerate(outcome.done.tolist()):
+                number, row = numbers[world], world % size
+                finished[number] = running.close(world, outcome.infos[place], seeds[number], drawn[world])
+                on_episode(len(finished), len(seeds))
+                if waiting[row]:
+                    numbers[world] = waiting[row].popleft()
+                    passes[world // size].starts[row] = True
+                    begun.append(world)
+                else:
+                    running.resting[world] = True
+            if _complete(episodes, finished, until):
+                return episodes
+            if begun:
+                worlds.begin(begun, [seeds[numbers[world]] for world in begun])
+                for world in begun:
+                    drawn[world] = worlds.singles[world].drawn()
+            seen = worlds.observations() if begun else outcome.observations
+    except DeepbotsError:
+        return None
+    return episodes
+
+
+class PolicyDriver(Driver):
+    """The policy of a model.
+
+    In an episode with a number, the actions are to the bit those of the episode of this number in an evaluation. For copies of a robot
+    they always are: each forward pass has a row for each copy.
+
+    Args:
+        rows: The number of worlds of a batch like `world`, whose episodes go on together.
+    """
+
+    def __init__(self, policy: Predictor, world: gym.Env[Any, Any], *, deterministic: bool = True, rows: int = 0) -> None:
+        self._policy, self._world, self._deterministic = policy, world, deterministic
+        self._size = rows or (len(world.get_wrapper_attr("agents")) if has_copies(world) else 0)
+        self._takes_masks = policy.takes_masks and not rows and world.has_wrapper_attr("action_masks")
+        self._forward: ForwardPass | None = None
+        self._row, self._starts = 0, np.ones(self._size or 1, bool)
+        self._memory: Any = None
+
+    def begin(self, start: Start) -> None:
+        if start.seed is not None:  # only a policy that samples draws from it
+            torch.manual_seed(derive_seed(start.seed, "policy"))
+        self._memory, self._starts[:], self._forward = None, True, None
+        if start.number is not None and not self._size:
+            self._row = start.number % FORWARD_BATCH_SIZE
+            self._forward = ForwardPass(self._world.observation_space, _choices(self._world) if self._takes_masks else None)
+
+    def act(self, observation: Any) -> Any:
+        if self._forward is not None:
+            self._forward.put(self._row, observation, self._world)
+            return self._forward.predict(self._policy, deterministic=self._deterministic)[self._row]
+        masks = self._world.get_wrapper_attr("action_masks")() if self._takes_masks else None
+        if masks is not None and self._size:
+            masks = masks.reshape(self._size, -1)
+        action, self._memory = self._policy.predict(observation, self._memory, self._starts, self._deterministic, masks)
+        self._starts = np.zeros_like(self._starts)
+        return action
+
+
+class ForwardPass:
+    """The observations of one forward pass; rows of worlds that do not run keep what they last held.
+
+    If the policy takes action masks, `masks` holds which of the `choices` of each row are allowed. A recurrent policy
+    has a `memory` for each row, which it forgets where `starts` says that an episode begins.
+    """
+
+    def __init__(self, space: gym.Space[Any], choices: int | None) -> None:
+        self.memory: Any = None
+        self.starts = np.ones(FORWARD_BATCH_SIZE, dtype=bool)
+        self.masks: Array | None = None if choices is None else np.ones((FORWARD_BATCH_SIZE, choices), dtype=bool)
+        self.observations: Any = (
+            {key: _zeros(part) for key, part in space.spaces.items()} if isinstance(space, gym.spaces.Dict) else _zeros(space)
+        )
+
+    def predict(self, policy: Predictor, *, deterministic: bool) -> Any:
+        """An action for each row."""
+        actions, self.memory = policy.predict(self.observations, self.memory, self.starts, deterministic, self.masks)
+        self.starts[:] = False
+        return actions
+
+    def put_all(self, observations: Any, worlds: slice) -> None:
+        """Take the rows of these worlds of a batch, the first as the first row."""
+        count = worlds.stop - worlds.start
+        if isinstance(self.observations, dict):
+            for key, rows in self.observations.items():
+                rows[:count] = observations[key][worlds]
+        else:
+            self.observations[:count] = observations[worlds]
+
+    def put(self, row: int, observation: Any, world: gym.Env[Any, Any]) -> None:
+        if self.masks is not None:
+            self.masks[row] = world.get_wrapper_attr("action_masks")()
+        if isinstance(self.observations, dict):
+            for key, rows in self.observations.items():
+                rows[row] = observation[key]
+        else:
+            self.observations[row] = observation
+
+
+def _choices(world: gym.Env[Any, Any]) -> int | None:
+    """How many options the agent has, over all parts of its action; None where the world forbids none."""
+    if not world.has_wrapper_attr("action_masks"):
+        return None
+    space: Any = world.action_space
+    return int(space.n) if isinstance(space, gym.spaces.Discrete) else int(space.nvec.sum())
+
+
+def _zeros(space: gym.Space[Any]) -> Array:
+    return np.zeros((FORWARD_BATCH_SIZE, *(space.shape or ())), dtype=space.dtype)
+
+
+class EvaluationLane:
+    """One world that goes through its episodes `numbers`, in one row of a forward pass."""
+
+    def __init__(self, world: gym.Env[Any, Any], row: int, numbers: Iterable[int], seeds: Sequence[int]) -> None:
+        self.row = row
+        self.number = row
+        self._world = world
+        self._episode_numbers = iter(numbers)
+        self._seeds = seeds
+        self._accumulator = EpisodeAccumulator()
+        self._action: Any = None
+        self._steps: Iterator[Step] = iter(())
+
+    def begin(self, forward: ForwardPass) -> bool:
+        """Start the next episode; whether there was one."""
+        number = next(self._episode_numbers, None)
+        if number is None:
+            return False
+        self.number = number
+        seed = self._seeds[number]
+        torch.manual_seed(derive_seed(seed, "policy"))  # only a policy that samples draws from it
+        forward.starts[self.row] = True
+        self._steps = steps(self._world, Driver(lambda _: self._action), Start(seed))
+        first = next(self._steps)
+        self._accumulator.begin(seed, first.info)
+        forward.put(self.row, first.observation, self._world)
+        return True
+
+    def step(self, action: Any, forward: ForwardPass) -> Episode | None:
+        """The episode, if this step was its last."""
+        self._action = action
+        step = next(self._steps)
+        self._accumulator.add(step.reward, step.info)
+        forward.put(self.row, step.observation, self._world)
+        return self._accumulator.close(step.info) if step.is_last else None

@@ -1,0 +1,420 @@
+"""Worlds that go on side by side, a row for each agent: single ones, stepped in turn, or batches on arrays.
+
+When an episode of a world ends, its next one begins within the same step. A step of a light world costs tens of microseconds, less than
+handing it to another process would.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any, NamedTuple, Protocol
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from deepbots_cli.errors import DeepbotsError, UsageError
+from deepbots_cli.rollout.episode import Episode, EpisodeAccumulator, random_state, set_random_state
+from deepbots_cli.runtime.batch import BatchStep, BatchSupervisor, EpisodeHistory, LostWorld
+
+Array = NDArray[Any]
+Outcome = tuple[Any, float, bool, bool, dict[str, Any]]
+"""Of a step, as Gymnasium returns it: observation, reward, terminated, truncated, info."""
+
+
+class Ending(NamedTuple):
+    """The last step of an episode in a row; the next episode has begun."""
+
+    row: int
+    episode: Episode
+    observation: Any
+    timed_out: bool
+
+
+class WorldsStep(NamedTuple):
+    """A step of all rows; observations are those that the agents act on next. A batch has infos of ended episodes only."""
+
+    observations: Any
+    rewards: Array
+    dones: Array
+    infos: list[dict[str, Any]]
+    endings: list[Ending]
+
+
+class HistoryRecorder(gym.Wrapper[Any, Any, Any, Any]):
+    """A world with the `history` of its running episode, enough to bring it back."""
+
+    def __init__(self, world: gym.Env[Any, Any]) -> None:
+        super().__init__(world)
+        self.history = EpisodeHistory(0, [])
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        self.history = EpisodeHistory(random_state(self.env) if seed is None else seed, [])
+        return self.env.reset(seed=seed, options=options)
+
+    def step(self, action: Any) -> Outcome:
+        self.history.actions.append(action)
+        return self.env.step(action)  # type: ignore[return-value]  # a reward of any number
+
+
+class Worlds:
+    """Single worlds, stepped in turn; world i starts from `seeds[i]` at the first reset and runs on from there.
+
+    There is a row for each agent: one per world, or one for each copy of a robot in a world with several. An episode ends for all
+    copies when it ends for one. For the others it is truncated, and `ended_by` is `another_copy`.
+
+    Args:
+        worlds: The worlds, which are closed with this.
+        seeds: The seed of each.
+        on_step: Called after the step of each row.
+        on_episode: Called after each episode of a row with the number of its world.
+        next_world: Called before a world begins another episode; may give another world to go on in, and its seed.
+    """
+
+    def __init__(
+        self,
+        worlds: Sequence[gym.Env[Any, Any]],
+        seeds: Sequence[int],
+        *,
+        on_step: Callable[[], None] = lambda: None,
+        on_episode: Callable[[int, Episode], None] = lambda world, episode: None,
+        next_world: Callable[[int], tuple[gym.Env[Any, Any], int] | None] = lambda world: None,
+    ) -> None:
+        self.worlds = [_recorded(world) for world in worlds]
+        self.starts = list(seeds)
+        self._on_step = on_step
+        self._on_episode = on_episode
+        self._next_world = next_world
+        self._is_team = has_copies(self.worlds[0])
+        first = self._agents_of(self.worlds[0])
+        self._width = len(first)
+        self.rows = self._width * len(self.worlds)
+        self.observation_space, self.action_space = first[0].observation_space, first[0].action_space
+        self._accumulators = [EpisodeAccumulator() for _ in range(self.rows)]
+        self.drawn: list[Mapping[str, Any]] = [{} for _ in self.worlds]
+        """What the running episode of each world drew, by name."""
+        self.observations: Any = None
+        """Those that the agents act on next; None before the first reset."""
+        self._keys = list(self.observation_space.spaces) if isinstance(self.observation_space, gym.spaces.Dict) else None
+
+    def _agents_of(self, world: gym.Env[Any, Any]) -> list[Any]:
+        """The agents of a world, one per row. A world with a single agent is its own agent, so that its wrappers act too."""
+        return list(world.get_wrapper_attr("agents").values()) if self._is_team else [world]
+
+    @property
+    def agents(self) -> list[Any]:
+        """The agent of each row."""
+        return [agent for world in self.worlds for agent in self._agents_of(world)]
+
+    def action_masks(self) -> Array | None:
+        """Which options are allowed in each row; None where the worlds do not say."""
+        agents = self.agents
+        if not agents[0].has_wrapper_attr("action_masks"):
+            return None
+        return np.stack([agent.get_wrapper_attr("action_masks")() for agent in agents])
+
+    def reset(self) -> Any:
+        """Begin the first episodes, or once more from the seeds; the observations."""
+        self._accumulators = [EpisodeAccumulator() for _ in self._accumulators]
+        observations = []
+        for index, seed in enumerate(self.starts):
+            observations += self._begin(index, seed)
+        self.observations = self._stack(observations)
+        return self.observations
+
+    def step_all(self, actions: Any) -> WorldsStep:
+        """Act in all rows."""
+        observations: list[Any] = []
+        rewards, dones, infos, endings = [], [], [], []
+        for index in range(len(self.worlds)):
+            action = actions[index * self._width : (index + 1) * self._width] if self._is_team else actions[index]
+            outcomes, done = self._act(index, action)
+            seen = []
+            for row, (observation, reward, terminated, truncated, info) in enumerate(outcomes, index * self._width):
+                reward = float(reward)
+                accumulator = self._accumulators[row]
+                accumulator.add(reward, info)
+                self._on_step()
+                if done:
+                    own = terminated or truncated
+                    episode = accumulator.close(info if own else {**info, "ended_by": "another_copy"})
+                    self._on_episode(index, episode)
+                    endings.append(Ending(row, episode, observation, not terminated))
+                seen.append(observation)
+                rewards.append(reward)
+                dones.append(done)
+                infos.append(info)
+            observations += self._go_on(index) if done else seen
+        self.observations = self._stack(observations)
+        return WorldsStep(self.observations, np.array(rewards, dtype=np.float32), np.array(dones, dtype=bool), infos, endings)
+
+    def _act(self, index: int, action: Any) -> tuple[list[Outcome], bool]:
+        """A step of a world: the outcome of each row, and whether the episode is over."""
+        world = self.worlds[index]
+        observation, reward, terminated, truncated, info = world.step(action)
+        done = terminated or truncated
+        if not self._is_team:
+            return [(observation, float(reward), terminated, truncated, info)], done
+        return [(a.get_observations(), a.get_reward(), *a.is_done(), a.get_info()) for a in self._agents_of(world)], done
+
+    def _go_on(self, index: int) -> list[Any]:
+        """Begin the next episode of a world, or the first of the one that follows it."""
+        following = self._next_world(index)
+        if following is None:
+            return self._begin(index, None)
+        self.worlds[index].close()
+        world, seed = following
+        self.worlds[index] = _recorded(world)
+        return self._begin(index, seed)
+
+    def _begin(self, index: int, seed: int | None) -> list[Any]:
+        """Begin an episode; the observation of each row."""
+        world = self.worlds[index]
+        observation, info = world.reset(seed=seed)
+        self.drawn[index] = info.get("drawn", {})
+        return [agent.get_observations() for agent in self._agents_of(world)] if self._is_team else [observation]
+
+    def _stack(self, observations: list[Any]) -> Any:
+        if self._keys is None:
+            return np.array(observations)
+        return {key: np.array([observation[key] for observation in observations]) for key in self._keys}
+
+    def histories(self) -> list[EpisodeHistory]:
+        """The running episode of each world, enough to bring it back."""
+        return [world.history for world in self.worlds]
+
+    def repeat(self, histories: Sequence[EpisodeHistory]) -> Any:
+        """Bring the worlds back to the moment at which `histories` were taken; the observations, which are the same if the physics is."""
+        self._accumulators = [EpisodeAccumulator() for _ in self._accumulators]
+        observations: list[Any] = []
+        for index, history in enumerate(histories):
+            seed = history.start if isinstance(history.start, int) else None
+            if isinstance(history.start, dict):
+                set_random_state(self.worlds[index], history.start)
+            seen = self._begin(index, seed)
+            for action in history.actions:
+                outcomes, _ = self._act(index, action)
+                for row, (_, reward, _, _, info) in enumerate(outcomes, index * self._width):
+                    self._accumulators[row].add(float(reward), info)
+                seen = [outcome[0] for outcome in outcomes]
+            observations += seen
+        self.observations = self._stack(observations)
+        return self.observations
+
+    def close(self) -> None:
+        for world in self.worlds:
+            world.close()
+
+
+def _recorded(world: gym.Env[Any, Any]) -> HistoryRecorder:
+    return world if isinstance(world, HistoryRecorder) else HistoryRecorder(world)
+
+
+def has_copies(world: gym.Env[Any, Any]) -> bool:
+    """Whether the agents of the world are copies of a robot, and not the world itself."""
+    return world.has_wrapper_attr("agents") and world.unwrapped not in world.get_wrapper_attr("agents").values()
+
+
+def observation_digest(observations: Any) -> str:
+    """SHA-256 of observations, to the bit."""
+    parts = [observations[key] for key in sorted(observations)] if isinstance(observations, dict) else [observations]
+    return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
+
+
+# Batches
+
+
+class BatchEpisodes:
+    """The running episodes of a batch, which it adds up as `EpisodeAccumulator` does for a single world; worlds may rest."""
+
+    def __init__(self, batch: BatchSupervisor) -> None:
+        self.batch, self.resting = batch, np.zeros(batch.count, bool)
+        self.clear()
+
+    def clear(self) -> None:
+        """All episodes begin."""
+        count = self.batch.count
+        self.resting[:] = False
+        self.returns, self._lengths = np.zeros(count), np.zeros(count, int)
+        self._terms = np.zeros((len(self.batch.TERMS), count))
+
+    def step_all(self, actions: Any) -> BatchStep:
+        """Act in the worlds that do not rest."""
+        outcome = self.batch.advance(actions, self.resting if self.resting.any() else None)
+        self.add(outcome.rewards, outcome.terms, ~self.resting)
+        return outcome
+
+    def add(self, rewards: Array, terms: Array, running: Any = True) -> None:
+        """Count one step of the worlds that are `running` (truth values)."""
+        self.returns += np.where(running, rewards, 0.0)
+        self._lengths += running
+        self._terms += np.where(running, terms, 0.0)
+
+    def close(self, world: int, info: Mapping[str, Any], seed: int | None = None, drawn: Mapping[str, Any] | None = None) -> Episode:
+        """The finished episode of a world, given the info of its last step; the next one begins."""
+        terms = dict(zip(self.batch.TERMS, self._terms[:, world].tolist(), strict=True))
+        total, length = float(self.returns[world]), int(self._lengths[world])
+        self.returns[world], self._lengths[world], self._terms[:, world] = 0.0, 0, 0.0
+        return Episode(total, length, info["is_success"], info["ended_by"], terms, seed, drawn or {})
+
+    def repeat(self, histories: Sequence[EpisodeHistory]) -> None:
+        """Bring the worlds back to the moment at which `histories` were taken."""
+        self.clear()
+        self.batch.restore(histories, lambda acting: self.add(self.batch.rewards(), self.batch.terms(), acting))
+
+
+class LossRecorder(Protocol):
+    """Keeps the episodes of a batch that fail; `stage` is the number of that of a curriculum."""
+
+    def record_lost(self, stage: int, loss: LostWorld, history: EpisodeHistory) -> None: ...
+    def record_failed(self, stage: int, histories: Sequence[EpisodeHistory]) -> None: ...
+
+
+class BatchWorlds(Worlds):
+    """The worlds of a batch, a row each; world i starts from `seeds[i]` at the first reset and runs on from there.
+
+    In a curriculum, each world enters the next stage when its episode ends. There is a batch for each stage that worlds are in; the
+    others rest in it.
+
+    Args:
+        build: Makes the worlds of a stage, by its number; they are closed with this.
+        seeds: The seed of each.
+        stages: The stage of each, which `next_seed` may change.
+        on_step: Called after the step of each row.
+        on_episode: Called after each episode of a row with the number of its world.
+        next_seed: Called before a world begins another episode; gives a seed if it begins one of another stage.
+        recorder: Keeps the episodes of worlds that fail.
+    """
+
+    def __init__(
+        self,
+        build: Callable[[int], BatchSupervisor],
+        seeds: Sequence[int],
+        stages: Sequence[int] | None = None,
+        *,
+        on_step: Callable[[], None] = lambda: None,
+        on_episode: Callable[[int, Episode], None] = lambda world, episode: None,
+        next_seed: Callable[[int], int | None] = lambda world: None,
+        recorder: LossRecorder | None = None,
+    ) -> None:
+        self._build, self._next_seed, self._recorder = build, next_seed, recorder
+        self.stages = [0] * len(seeds) if stages is None else stages
+        self._batches: dict[int, BatchEpisodes] = {}
+        first = self._batch_of(self.stages[0])
+        super().__init__(first.singles, seeds, on_step=on_step, on_episode=on_episode)
+
+    def _batch_of(self, stage: int) -> BatchSupervisor:
+        """The worlds of a stage, built when one of them is first needed."""
+        if stage not in self._batches:
+            self._batches[stage] = BatchEpisodes(self._build(stage))
+        return self._batches[stage].batch
+
+    def _in(self, stage: int) -> Array:
+        """The worlds that are in a stage, as truth values."""
+        return np.array([own == stage for own in self.stages])
+
+    def reset(self) -> Any:
+        for stage in dict.fromkeys(self.stages):
+            with self._recording_failures(stage):
+                self._batch_of(stage).reset(self.starts)
+        for episodes in self._batches.values():
+            episodes.clear()
+        return self._begun()
+
+    def _begun(self) -> Any:
+        """Note what each world drew, in its stage; the observations."""
+        self.drawn = [self._batch_of(stage).singles[world].drawn() for world, stage in enumerate(self.stages)]
+        self.observations = self._observe()
+        return self.observations
+
+    def _observe(self) -> Any:
+        """Of each world in its stage."""
+        (_, first), *others = self._batches.items()
+        seen = first.batch.observations()
+        for stage, episodes in others:
+            rows, more = self._in(stage), episodes.batch.observations()
+            for mine, other in zip(seen.values(), more.values(), strict=True) if isinstance(seen, dict) else [(seen, more)]:
+                mine[rows] = other[rows]
+        return seen
+
+    def step_all(self, actions: Any) -> WorldsStep:
+        rewards, dones = np.zeros(self.rows, np.float32), np.zeros(self.rows, bool)
+        infos: list[dict[str, Any]] = [{}] * self.rows
+        ended: dict[int, tuple[int, BatchStep, BatchEpisodes]] = {}
+        for stage, episodes in self._batches.items():
+            acting = self._in(stage)
+            episodes.resting = ~acting
+            known = len(episodes.batch.losses)
+            with self._recording_failures(stage):
+                outcome = episodes.step_all(actions)
+            if self._recorder is not None:
+                for loss in episodes.batch.losses[known:]:
+                    self._recorder.record_lost(stage, loss, episodes.batch.snapshot()[loss.world])
+            rewards[acting] = outcome.rewards[acting]
+            dones[outcome.done] = True
+            ended |= {world: (place, outcome, episodes) for place, world in enumerate(outcome.done.tolist())}
+        begun: dict[int, list[tuple[int, int | None]]] = {}
+        endings = []
+        for world in range(self.rows):
+            self._on_step()
+            if world in ended:
+                endings.append(self._close(world, *ended[world]))
+                infos[world] = ended[world][1].infos[ended[world][0]]
+                seed = self._next_seed(world)
+                begun.setdefault(self.stages[world], []).append((world, seed))
+        for stage, beginning in begun.items():
+            self._begin_in(stage, beginning)
+        for stage in [stage for stage in self._batches if stage not in self.stages]:
+            self._batches.pop(stage).batch.close()
+        self.observations = self._observe()
+        return WorldsStep(self.observations, rewards, dones, infos, endings)
+
+    @contextmanager
+    def _recording_failures(self, stage: int) -> Iterator[None]:
+        """Within, an error of the batch becomes that of the episode which fails, if this is found."""
+        try:
+            yield
+        except UsageError:
+            raise
+        except DeepbotsError:
+            if self._recorder is not None:
+                histories = self._batch_of(stage).snapshot()
+                self._recorder.record_failed(stage, [histories[world] for world, own in enumerate(self.stages) if own == stage])
+            raise
+
+    def _begin_in(self, stage: int, beginning: Sequence[tuple[int, int | None]]) -> None:
+        """Let worlds begin an episode in a stage; the first ones that enter it find the others at rest there."""
+        is_new, worlds = stage not in self._batches, self._batch_of(stage)
+        with self._recording_failures(stage):
+            if is_new:
+                worlds.reset(self.starts)
+            worlds.begin([world for world, _ in beginning], [seed for _, seed in beginning])
+        for world, _ in beginning:
+            self.drawn[world] = worlds.singles[world].drawn()
+
+    def _close(self, world: int, place: int, outcome: BatchStep, episodes: BatchEpisodes) -> Ending:
+        """The end of an episode, which is reported."""
+        last = outcome.final_observations
+        episode = episodes.close(world, outcome.infos[place])
+        self._on_episode(world, episode)
+        seen = {key: part[place] for key, part in last.items()} if isinstance(last, dict) else last[place]
+        return Ending(world, episode, seen, not outcome.terminated[world])
+
+    def histories(self) -> list[EpisodeHistory]:
+        running = {stage: episodes.batch.snapshot() for stage, episodes in self._batches.items()}
+        return [running[stage][world] for world, stage in enumerate(self.stages)]
+
+    def repeat(self, histories: Sequence[EpisodeHistory]) -> Any:
+        for stage in dict.fromkeys(self.stages):
+            inside = self._in(stage)
+            self._batch_of(stage)
+            self._batches[stage].repeat(
+                [history if inside[world] else EpisodeHistory(self.starts[world], []) for world, history in enumerate(histories)]
+            )
+        return self._begun()
+
+    def close(self) -> None:
+        for episodes in self._batches.values():
+            episodes.batch.close()
