@@ -256,6 +256,53 @@ except UsageError as error:
     assert not (site / "refused").exists()
 
 
+KILLED = """
+import os, signal, sys
+from acme.cem import CrossEntropyMethod
+from deepbots_cli.cli import main
+from deepbots_cli.learning import checkpoints
+checkpoints.INTERVAL_S = checkpoints.MIN_INTERVAL_PER_COST = 0
+class Killed(CrossEntropyMethod):
+    def update(self):
+        super().update()
+        if self.steps >= 3_000:
+            os.kill(os.getpid(), signal.SIGKILL)
+sys.modules["acme.cem"].CrossEntropyMethod = Killed
+main(sys.argv[1:])
+"""
+
+
+def test_a_learner_of_a_plugin_is_trained_evaluated_killed_and_resumed_by_the_same_commands(site):
+    pytest.importorskip("stable_baselines3")
+    from deepbots_cli.learning.episodes import read_log
+
+    task = site / "cem.yaml"
+    train = "train: {algorithm: CrossEntropy, total_timesteps: 6_000, environments: 4}\nevaluation: {episodes: 20}\n"
+    shipped = (ROOT / "scenarios" / "cartpole.yaml").read_text().replace("../robots/urdf/cartpole.urdf", "cartpole")
+    task.write_text(shipped[: shipped.index("train:\n")] + train)
+    whole = deepbots(site, "train", "cem.yaml", "--run", "whole", "--full", "--logger", "csv")
+    assert whole.returncode == 0, whole.stderr
+    assert python(site, "-c", KILLED, "train", "cem.yaml", "--run", "parts", "--full", "--logger", "csv").returncode == -9
+    resumed = deepbots(site, "train", "--resume", "parts")
+    assert resumed.returncode == 0, resumed.stderr
+    results = [json.loads((site / name / "run.json").read_text())["result"] for name in ("whole", "parts")]
+    assert [result["steps"] for result in results] == [6_144, 6_144]
+    assert results[1]["inexact"] == []
+    assert results[0]["weights_digest"] == results[1]["weights_digest"]
+    logs = [[row | {"t": ""} for row in read_log(site / name / "monitor.csv")] for name in ("whole", "parts")]
+    assert logs[0] == logs[1]
+    scalars = [
+        [line for line in (site / name / "logs" / "scalars.csv").read_text().splitlines() if ",time/" not in line]
+        for name in ("whole", "parts")
+    ]
+    assert scalars[0] == scalars[1]
+    assert any("cem/best_return" in line for line in scalars[0])
+    evaluated = [json.loads(deepbots(site, "eval", name, "--last", "--json").stdout) for name in ("whole", "parts")]
+    assert evaluated[0]["mean_return"] == evaluated[1]["mean_return"] > 60  # random actions come to about 20
+    refusal = deepbots(site, "train", "cem.yaml", "--run", "refused", "--set", "train.normalize=reward")
+    assert "CrossEntropy does not normalize rewards" in refusal.stderr
+
+
 BROKEN = [
     ("deepbots.sensors", "pulse = no_such_module:Pulse", "No module named 'no_such_module'"),
     ("deepbots.sensors", "pulse = json:loads", "is not a subclass of JointSensor, LinkSensor or ContactSensor"),

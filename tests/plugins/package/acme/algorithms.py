@@ -1,9 +1,9 @@
-"""Algorithms: PPO with another default, for choices only, and one whose weights cannot be stored."""
+"""Algorithms: PPO with another default, for choices only, one whose weights cannot be stored, and one with its own learner."""
 
 from typing import Literal
 
 from deepbots_cli.scenario.fields import PositiveInt
-from deepbots_cli.scenario.training import PPO
+from deepbots_cli.scenario.training import PPO, Training
 
 
 class GentlePPO(PPO):
@@ -28,3 +28,14 @@ class NoTensors(PPO):
     import_path = "acme.training:Elsewhere"
 
     algorithm: Literal["NoTensors"]
+
+
+class CrossEntropy(Training):
+    """Tries linear policies, and draws the next ones near the best."""
+
+    import_path = "acme.cem:CrossEntropyMethod"
+    acts_by = frozenset({"choice"})
+
+    algorithm: Literal["CrossEntropy"]
+    population: PositiveInt | None = 24
+    """Policies between two updates."""

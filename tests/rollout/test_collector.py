@@ -1,0 +1,93 @@
+"""Fragments of experience: the same wherever the worlds of a shard go on."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.rollout.collector import Decision, Fragment, LocalCollector, ShardState, join
+from deepbots_cli.rollout.worlds import BatchWorlds, Worlds
+from deepbots_cli.runtime.batch import EpisodeHistory
+
+PROGRAM = api.compile("cartpole").program
+
+
+def shard(number: int, kind: str, worlds: int = 2) -> LocalCollector:
+    """Worlds of CartPole with the seeds 10, 11, ... for shard 0, 20, 21, ... for shard 1."""
+    seeds = [10 + 10 * number + index for index in range(worlds)]
+    if kind == "batch":
+        pytest.importorskip("deepbots_cli.engines.mujoco")
+        return LocalCollector(BatchWorlds(lambda stage: api.build_batch(PROGRAM, worlds), seeds))
+    return LocalCollector(Worlds([api.build(PROGRAM) for _ in seeds], seeds))
+
+
+def act(observations: Any, starts: Any, masks: Any) -> Decision:
+    """Drives to where the pole leans; `lean` is what a policy would return beside the action."""
+    lean = observations[:, 2] + observations[:, 3]
+    return Decision((lean > 0).astype(int), {"lean": lean})
+
+
+def collected(collector: LocalCollector, steps: int) -> Fragment:
+    fragment = collector.collect(act, steps)
+    assert fragment is not None
+    return fragment
+
+
+def equal(one: Fragment, other: Fragment) -> bool:
+    arrays = ("observations", "actions", "rewards", "starts", "following", "following_starts")
+    same = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in arrays)
+    endings = [[(step, ending.row, ending.episode) for step, ending in fragment.endings] for fragment in (one, other)]
+    return same and np.array_equal(one.columns["lean"], other.columns["lean"]) and endings[0] == endings[1]
+
+
+@pytest.mark.parametrize("kind", ["single", "batch"])
+def test_a_fragment_has_rows_by_step_and_the_episodes_that_ended(kind: str) -> None:
+    collector = shard(0, kind)
+    with closing(collector.worlds):
+        fragment = collected(collector, 80)
+        assert fragment.observations.shape == (80, 2, 4)
+        assert (fragment.rewards.shape, fragment.columns["lean"].shape) == ((80, 2), (80, 2))
+        assert fragment.starts[0].all()
+        begun = {(step + 1, ending.row) for step, ending in fragment.endings}
+        assert {(step, row) for step, row in np.argwhere(fragment.starts).tolist() if step} == {pair for pair in begun if pair[0] < 80}
+        assert begun
+        assert np.array_equal(collected(collector, 1).observations[0], fragment.following)
+
+
+@pytest.mark.parametrize("kind", ["single", "batch"])
+def test_a_shard_goes_on_elsewhere_to_the_bit(kind: str) -> None:
+    """From its state, which JSON can hold, in fresh worlds; the first shard meanwhile runs on."""
+    one, other = shard(0, kind), shard(1, kind)
+    with closing(one.worlds), closing(other.worlds):
+        collected(one, 70)
+        start = [(episode.start, np.array(episode.actions).tolist()) for episode in one.state().episodes]
+        kept = json.loads(json.dumps(start))
+        state = ShardState([EpisodeHistory(begun, list(np.array(actions))) for begun, actions in kept], one.state().observed)
+        assert other.restore(state, [0, 0])
+        assert equal(collected(one, 60), collected(other, 60))
+        assert not other.restore(state._replace(observed="of another world"), [3, 4])
+        assert [episode.start for episode in other.state().episodes] == [3, 4]
+
+
+def test_fragments_are_joined_by_the_number_of_their_shard() -> None:
+    """However they arrive, they are what one shard with all the worlds collects."""
+    shards, whole = (
+        [shard(number, "single") for number in (0, 1)],
+        LocalCollector(Worlds([api.build(PROGRAM) for _ in range(4)], [10, 11, 20, 21])),
+    )
+    with closing(whole.worlds), closing(shards[0].worlds), closing(shards[1].worlds):
+        arrived = {number: collected(shards[number], 50) for number in (1, 0)}
+        assert equal(join([arrived[0], arrived[1]]), collected(whole, 50))
+
+
+def test_a_fragment_may_be_ended_before_its_last_step() -> None:
+    collector = shard(0, "single")
+    with closing(collector.worlds):
+        seen: list[int] = []
+        assert collector.collect(act, 10, lambda step: seen.append(0) or len(seen) < 4) is None
+        assert len(seen) == 4
