@@ -36,7 +36,8 @@ from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.learner import Learner, Log
+    from deepbots_cli.learning.learner import Learner
+    from deepbots_cli.learning.sb3.logs import TrainingLog
 
 EVALUATION_EPISODES = 20
 """Starts of an evaluation, the same each time: two networks differ by what they do there, not by their luck."""
@@ -194,7 +195,7 @@ class TrainingCallback:
         self._seen = _first_frame(run.program)
         self._began = time.monotonic(), statistics.steps
 
-    def attach(self, learner: Learner, log: Log) -> None:
+    def attach(self, learner: Learner, log: TrainingLog) -> None:
         """Whose training it follows, before it begins."""
         self.learner, self.log = learner, log
 

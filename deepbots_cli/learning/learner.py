@@ -15,7 +15,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -30,29 +30,10 @@ from deepbots_cli.scenario.training import ALGORITHMS
 if TYPE_CHECKING:
     import gymnasium as gym
 
+    from deepbots_cli.learning.callbacks import TrainingCallback
+    from deepbots_cli.learning.sb3.logs import TrainingLog
+
 _MAX_DATA_BYTES = 8_000_000
-
-
-class Log(Protocol):
-    """Takes scalars by name; `dump` writes them at a step."""
-
-    def record(self, key: str, value: Any, exclude: Any = None) -> None: ...
-    def dump(self, step: int = 0) -> None: ...
-
-
-class Monitor(Protocol):
-    """Watches a training: evaluates, keeps the best model, says when to stop."""
-
-    defines_success: bool
-    """Whether the scenario says which episodes are a success."""
-
-    def on_step(self) -> bool:
-        """Called after each step of all rows; whether to go on."""
-
-    def on_collected(self) -> None:
-        """Called after a fragment, before the update."""
-
-    def on_end(self) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -97,7 +78,7 @@ class Learner(ABC):
     device = "cpu"
     setup: Setup
     steps: int
-    log: Log
+    log: TrainingLog
 
     @abstractmethod
     def __init__(self, setup: Setup) -> None: ...
@@ -113,8 +94,15 @@ class Learner(ABC):
             raise UsageError(f"{training.algorithm} does not normalize rewards; leave out 'normalize' under 'train'")
 
     @abstractmethod
-    def begin(self, total: int, monitor: Monitor, followers: Sequence[Any] = ()) -> None:
-        """Prepare for training up to `total` steps; `followers` are the callbacks of other packages."""
+    def begin(self, total: int, monitor: TrainingCallback, followers: Sequence[Any] = ()) -> None:
+        """Prepare for training up to `total` steps.
+
+        Args:
+            total: Timesteps, summed over all rows.
+            monitor: Its `on_step` is called after each step of all rows and says whether to go on, its `on_collected` after each fragment,
+                before the update, and its `on_end` after the last update.
+            followers: The callbacks of other packages.
+        """
 
     @abstractmethod
     def start(self) -> None:
@@ -122,7 +110,7 @@ class Learner(ABC):
 
     @abstractmethod
     def collect(self) -> bool:
-        """Take in the next fragment; False if the monitor ended it before."""
+        """Take in the next fragment; False if the monitor of the training ended it before."""
 
     @abstractmethod
     def update(self) -> None:
@@ -250,7 +238,7 @@ class ArrayLearner(Learner):
         """Arrays beside `weights` that the next update depends on."""
         return {}
 
-    def begin(self, total: int, monitor: Monitor, followers: Sequence[Any] = ()) -> None:
+    def begin(self, total: int, monitor: TrainingCallback, followers: Sequence[Any] = ()) -> None:
         if followers:
             raise UsageError(f"callbacks follow the built-in algorithms, and {self.setup.training.algorithm} is none; leave out --callback")
         self._monitor = monitor

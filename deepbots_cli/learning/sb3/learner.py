@@ -19,8 +19,9 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.type_aliases import RolloutReturn
 from stable_baselines3.common.vec_env import VecNormalize
 
+from deepbots_cli.learning.callbacks import TrainingCallback
 from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState
-from deepbots_cli.learning.learner import Initialization, Learner, Monitor, Setup
+from deepbots_cli.learning.learner import Initialization, Learner, Setup
 from deepbots_cli.learning.sb3 import algorithms, models, networks, rollouts, state
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment, as_returned, spaces_only
 from deepbots_cli.program.task import Training
@@ -71,7 +72,7 @@ class StableLearner(Learner):
 
     # Acting and learning
 
-    def begin(self, total: int, monitor: Monitor, followers: Sequence[Any] = ()) -> None:
+    def begin(self, total: int, monitor: TrainingCallback, followers: Sequence[Any] = ()) -> None:
         self.model.set_logger(self.log)
         self._followers = followers
         callbacks = [_MonitorCallback(monitor), *followers]
@@ -229,7 +230,7 @@ class _SavesPlainly:
 class _MonitorCallback(BaseCallback):
     """Passes the calls of Stable-Baselines3 on to the monitor of the training."""
 
-    def __init__(self, monitor: Monitor) -> None:
+    def __init__(self, monitor: TrainingCallback) -> None:
         super().__init__()
         self._monitor = monitor
 

@@ -68,13 +68,13 @@ def fill(model: Any, fragment: Fragment) -> None:
     buffer, columns = model.rollout_buffer, fragment.columns
     buffer.reset()
     rewards = _rewards(model, fragment)
-    observations = fragment.observations if isinstance(buffer.observations, dict) else {"": fragment.observations}
-    flat = {key: part.reshape(-1, *part.shape[2:]) for key, part in observations.items()}
-    if isinstance(buffer.observations, dict):
-        for key, part in _prepared(model, flat).items():
+    seen = fragment.observations
+    if isinstance(seen, dict):
+        flat = _prepared(model, {key: part.reshape(-1, *part.shape[2:]) for key, part in seen.items()})
+        for key, part in flat.items():
             buffer.observations[key][...] = part.reshape(buffer.observations[key].shape)
     else:
-        buffer.observations[...] = _prepared(model, flat[""]).reshape(buffer.observations.shape)
+        buffer.observations[...] = _prepared(model, seen.reshape(-1, *seen.shape[2:])).reshape(buffer.observations.shape)
     buffer.actions[...] = columns["action"].reshape(buffer.actions.shape)
     buffer.rewards[...], buffer.episode_starts[...] = rewards, fragment.starts
     buffer.values[...], buffer.log_probs[...] = columns["values"], columns["log_probs"]
