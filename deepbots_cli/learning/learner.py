@@ -286,13 +286,24 @@ class ArrayLearner(Learner):
 
 
 def class_of(training: Training) -> type[Learner]:
-    """The learner of the algorithm that the scenario names."""
+    """The learner of the algorithm that the scenario names.
+
+    Raises:
+        UsageError: That of another package cannot be imported, or is none.
+    """
     from deepbots_cli.learning.sb3.learner import StableLearner  # which needs this module
 
     model = ALGORITHMS.get(training.algorithm)
     if model is None or model.is_derived():
         return StableLearner
-    found: type[Learner] = import_attribute(model.import_path)
+    try:
+        found = import_attribute(model.import_path)
+    except (ImportError, AttributeError) as error:
+        raise UsageError(f"the learner of {training.algorithm} ({model.import_path}) cannot be imported: {error}") from error
+    if not (isinstance(found, type) and issubclass(found, Learner)):
+        raise UsageError(
+            f"{model.import_path}, the learner of {training.algorithm}, is not derived from deepbots_cli.learning.learner.Learner"
+        )
     return found
 
 
