@@ -93,9 +93,9 @@ def _leaves(value, path=""):
 def test_worlds_of_a_batch_that_have_ended_rest_until_the_next_episodes():
     with closing(Showing("cartpole", engine="mujoco", worlds=4).open().player(RANDOM)) as player:
         player.begin(0, 0)
-        while player._resting.sum() < 2:
+        while player._running.resting.sum() < 2:
             player.step()
-        world = int(player._resting.argmax())
+        world = int(player._running.resting.argmax())
         ended = player.choose(world)
         assert ended.ending == "failure: fallen"
         assert ended.agents["agent"].episode_return == ended.step
