@@ -312,7 +312,6 @@ def run_training(
             worlds = make_training_env(stack, run, training, build, callback, checkpoints, reporter)
             learner = _create(training, run.program, worlds, derive_seed(run.record.seed, "policy"))
             learner.log = log = TrainingLog(run)
-            stack.callback(log.close)
             callback.attach(learner, log)
             checkpoints.attach(callback, learner, log)
             checkpoints.on_restored.append(lambda: log.open(training, is_new=checkpoints.state is None))
@@ -320,6 +319,7 @@ def run_training(
                 learner.initialize(_initial(run))
             stack.enter_context(signals_handled(callback.interruption))
             stack.enter_context(_silence_writer_threads())
+            stack.callback(log.close)
             if words := stepping_text(run.program, training.environments, run.record.engine, build):
                 reporter.note(words)
             reporter.start(callback.progress())
