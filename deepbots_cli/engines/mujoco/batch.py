@@ -96,6 +96,12 @@ class BatchMember(EngineProxy):
     def step(self, substeps: int) -> None:
         self._batch.step(substeps, np.arange(self._batch.count) == self._index)
 
+    def snapshot(self) -> object:
+        raise EngineError("a world of a batch has no snapshots; repeat its episode")
+
+    def restore(self, snapshot: object) -> None:
+        self.snapshot()
+
     def before_substep(self, act: Callable[[], object]) -> None:
         self.substep_callbacks.append(act)
         self._batch.acts_in_substeps = True
@@ -145,15 +151,15 @@ class MuJoCoBatch:
 
     name = "mujoco"
 
-    def __init__(self, world: WorldModel, count: int, threads: int | None = None) -> None:
-        """Without `threads`, as many as there are cores for this process."""
+    def __init__(self, world: WorldModel, count: int) -> None:
+        """Worlds are stepped by as many threads as there are cores for this process."""
         self._builder = ModelBuilder(world)
         self.single = MuJoCoEngine(world, self._builder)
         self._world = self.single._world
         self.nominal = copy(self._world.model)
         self.count = count
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        self._threads = min(threads or cores, count)
+        self._threads = min(cores, count)
         self._attached: int | None = None
         """The world that the shared engine has."""
         self._has_changes = False
@@ -623,7 +629,8 @@ class Observer:
         if self._built != len(self._distances):
             model, off = model_with_sensors(batch._builder, batch.nominal, self._distances), mj.mjtDisableBit
             model.opt.disableflags |= off.mjDSBL_CONTACT | off.mjDSBL_CONSTRAINT | off.mjDSBL_ACTUATION
-            self._views, self._built, self.is_current = Batch(model, batch.count, self._threads), len(self._distances), False
+            self._views, self._built = Batch(model, batch.count, self._threads), len(self._distances)
+            self._bound.clear()
         bound: Column = self._views.bind(name)
         stage = int(mj.mjtStage.mjSTAGE_VEL) if name == "cvel" else self._stage
         if not self.is_current or name not in self._bound or stage > self._stage:
