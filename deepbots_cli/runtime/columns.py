@@ -72,18 +72,17 @@ class ExactFunction:
         self._function, self._estimate = function, estimate
 
     def __call__(self, *columns: Any) -> Any:
-        shapes = {np.shape(column) for column in columns if np.ndim(column)}
-        shape = next(iter(shapes)) if len(shapes) == 1 else np.broadcast_shapes(*shapes)
-        lists = [np.broadcast_to(one, shape).ravel().tolist() if np.ndim(one) and len(shapes) > 1 else _numbers(one) for one in columns]
+        arrays = [column for column in columns if isinstance(column, np.ndarray)]
+        if len({array.shape for array in arrays}) > 1:
+            columns = np.broadcast_arrays(*columns)
+            arrays = [*columns]
+        lists = [column.ravel().tolist() if isinstance(column, np.ndarray) else repeat(column) for column in columns]
         try:
-            values: Any = np.fromiter(map(self._function, *lists), float, count=math.prod(shape)) if shape else self._function(*columns)
+            if not arrays:
+                return self._function(*columns)
+            return np.fromiter(map(self._function, *lists), float, arrays[0].size).reshape(arrays[0].shape)
         except (ValueError, ArithmeticError):
             return self._estimate(*columns)
-        return values.reshape(shape) if len(shape) > 1 else values
-
-
-def _numbers(column: Any) -> Iterable[float]:
-    return column.ravel().tolist() if isinstance(column, np.ndarray) else repeat(column)
 
 
 def _length(*values: Any) -> Any:
