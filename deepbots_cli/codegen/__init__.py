@@ -127,10 +127,13 @@ def batch_obstacles(scenario: Program) -> list[str]:
     """Why a batch cannot hold a scenario; nothing where it can."""
     agent = scenario.agent
     reasons = [
-        (agent.copies is not None, "it has several copies of a robot"),
-        (bool(agent.images) or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors), "it has cameras"),
-        (bool(scenario.python_functions), "it runs code of packages"),
-        (any(option.forbidden for part in agent.choices for option in part.options), "it forbids choices"),
+        (agent.copies is not None, "it has several copies of a robot, which act in one world in turn"),
+        (
+            bool(agent.images) or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors),
+            "it has cameras, whose pictures are drawn world by world",
+        ),
+        (bool(scenario.python_functions), "it runs code of packages, which computes single numbers"),
+        (any(option.forbidden for part in agent.choices for option in part.options), "it forbids choices, and a batch computes no masks"),
     ]
     found = [reason for holds, reason in reasons if holds]
     if not found:

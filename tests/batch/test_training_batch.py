@@ -148,7 +148,10 @@ def test_an_evaluation_in_which_a_world_fails_is_left_to_single_worlds() -> None
 
 def test_why_worlds_are_stepped_one_by_one_is_told() -> None:
     camera, cart = api.compile("see_ball").program, api.compile("cartpole").program
-    assert stepping_text(camera, 8, "mujoco", supervisor_factory("mujoco")) == "SeeBall steps its 8 worlds one by one: it has cameras"
+    assert (
+        stepping_text(camera, 8, "mujoco", supervisor_factory("mujoco"))
+        == "SeeBall steps its 8 worlds one by one: it has cameras, whose pictures are drawn world by world"
+    )
     assert stepping_text(cart, 8, "mujoco", supervisor_factory("mujoco")) == "CartPole steps its 8 worlds together, as a batch"
     assert stepping_text(camera, 8, "pybullet", supervisor_factory("pybullet")) == ""
 
