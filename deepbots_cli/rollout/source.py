@@ -3,7 +3,7 @@
     cartpole, cartpole.yaml, a `Scenario`    a scenario
     runs/cartpole-0-1                        a run: a folder with run.json
     runs/cartpole-seeds-1                    a group of runs: a folder with group.json
-    runs/cartpole-0-1/models/agent/best.zip a checkpoint: a model in the folder of a run
+    runs/cartpole-0-1/models/agent/best.zip  a checkpoint: a model in the folder of a run
     cartpole-0-0.mcap                        a recording
 
 A run, a group and an open recording keep their scenario as `resolved.yaml` in a folder that holds all files that it reads.
@@ -75,7 +75,8 @@ class Source:
         error = UsageError if not kinds or SourceKind.SCENARIO in kinds else RunError
         found = source if isinstance(source, Source) else cls._named(Path(source), str(source), permissions, error)
         if kinds and found.kind not in kinds:
-            wanted = " or ".join(kind.value for kind in kinds)
+            *others, final = (kind.value for kind in kinds)
+            wanted = f"{', '.join(others)} or {final}" if others else final
             what = "a file" if found.kind is SourceKind.SCENARIO and found.path.suffix not in (".yaml", ".yml") else found.kind.value
             hint = ""
             if SourceKind.RUN in kinds and found.kind is SourceKind.GROUP:

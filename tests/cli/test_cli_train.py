@@ -167,6 +167,13 @@ def test_a_junit_file_needs_a_requirement(deepbots, trained, tmp_path):
     assert not (tmp_path / "gate.xml").exists()
 
 
+def test_a_model_of_a_run_is_evaluated_by_its_path(deepbots, trained):
+    shown = json.loads(deepbots("eval", "mine/models/agent/last.zip", "--episodes", "2", "--json").out)
+    assert (shown["run"], shown["model"]) == ("mine", "last")
+    refused = deepbots("eval", "mine/models/agent/last.zip", "--last")
+    assert (refused.code, refused.err) == (2, "error: --last chooses a model, and mine/models/agent/last.zip is one\n")
+
+
 def test_a_run_that_is_named_without_its_folder_is_found_in_the_message(deepbots, tmp_path):
     (tmp_path / "runs" / "first").mkdir(parents=True)
     assert deepbots("eval", "first").err == "error: no file, folder or shipped scenario is called 'first'; did you mean runs/first?\n"

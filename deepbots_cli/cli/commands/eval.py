@@ -67,7 +67,9 @@ def _episodes(text: str) -> int | str:
 
 
 def command(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory of `deepbots train`, or the folder of a group.")],
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="A run directory of `deepbots train`, a model in it, or the folder of a group.")
+    ],
     episodes: Annotated[
         Any,
         option(
@@ -152,6 +154,7 @@ def command(
 
     \b
       deepbots eval runs/cartpole-0-1
+      deepbots eval runs/cartpole-0-1/models/agent/last.zip
       deepbots eval runs/cartpole-0-1 --episodes failed
       deepbots eval runs/cartpole-0-1 --baselines
       deepbots eval runs/cartpole-seeds-1 --csv episodes.csv
@@ -178,12 +181,14 @@ def command(
     if mass_of is not None and not robustness:
         raise UsageError("--mass-of belongs to --robustness; add it")
     _check_files(csv, junit, video, gates, force=force)
-    chosen: dict[str, Any] = {"episodes": episodes, "model": "last" if last else "best"}
+    source = Source.open(run, permissions, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.GROUP)
+    if source.model is not None:
+        _refuse(f"chooses a model, and {run} is one", given, ("last",))
+    chosen: dict[str, Any] = {"episodes": episodes, "model": source.model or ("last" if last else "best")}
     chosen |= {"permissions": permissions, "deterministic": not stochastic}
     several: Sequence[str | None] = engine or [None]
     if len(several) > 1:
         _refuse("evaluates in one engine; name one with --engine", given, single)
-    source = Source.open(run, permissions, SourceKind.RUN, SourceKind.GROUP)
     if source.kind is SourceKind.GROUP:
         group = Group.open(source)
         one = f"evaluates a single run, and {run} is a group; name one of its runs, such as {group.runs[0] if group.runs else run}"
@@ -192,7 +197,7 @@ def command(
         chosen |= {"seed": seed or 0, "case": case, "stage": stage}
         _evaluate_group(run, scenarios, gates, csv=csv, junit=junit, as_json=as_json, **chosen)
         return
-    known = Run.open(source)
+    known = Run.open(source.path)
     if robustness:
         _refuse("does not go with --robustness", given, ("video", "csv", "junit", "baselines", "details", "require-solved"))
         chosen |= {"scenario": scenario, "overrides": with_engine(overrides, several[0])}
