@@ -1,8 +1,8 @@
-"""Whether two programs are the same: canonical JSON with digests, and the interface of a policy, item by item.
+"""Whether two programs are the same: canonical JSON with digests, and the interfaces of agents, item by item.
 
 Canonical means: keys sorted, no spaces, floats by their shortest exact form. Every record is an object whose key `is` holds the
-class name. Texts and places in files are left out: an expression is written as its name and its scalar trees. The JSON is written and
-never read back: what is loaded is a scenario, which is compiled.
+class name. Texts and places in files are left out: an expression is written as its name and its scalar trees, a file as its suffix
+and the digest of its content. The JSON is written and never read back: what is loaded is a scenario, which is compiled.
 
 The interface holds the observation, action and messages that a policy and a world have agreed on. A policy is only as good as the
 meaning of the numbers that it was trained on. Each agreed item has a name and a text. A run records them all; they tell whether, and
@@ -14,7 +14,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from functools import lru_cache
 from pathlib import PurePath
@@ -24,7 +24,7 @@ from deepbots_cli.expressions.scalar import Scalar
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import MessageField, MessageLayout
 from deepbots_cli.program.task import ActionRange, Agent, Choices, Evaluation, ObservedNumber
-from deepbots_cli.program.world import Picture, WorldModel
+from deepbots_cli.program.world import Picture
 from deepbots_cli.robots.model import Mesh
 
 # Canonical JSON
@@ -37,12 +37,11 @@ def to_json(program: Program) -> str:
 
 @lru_cache(maxsize=16)
 def digest(program: Program) -> str:
-    """SHA-256 of the canonical JSON, in hexadecimal; a file counts for its content, not for its path.
+    """SHA-256 of the canonical JSON, in hexadecimal.
 
     It is kept, since each copy of an environment asks for it: that of PandaReach takes 30 ms.
     """
-    placeless = with_files(program, lambda file: replace(file, path=PurePath(file.path).suffix))
-    return hashlib.sha256(to_json(placeless).encode()).hexdigest()
+    return hashlib.sha256(to_json(program).encode()).hexdigest()
 
 
 def task_digest(program: Program) -> str:
@@ -51,42 +50,15 @@ def task_digest(program: Program) -> str:
     return digest(replace(nameless, curriculum=(), evaluation=Evaluation(), cases=()))
 
 
-File = Mesh | Picture
-"""What has the path and the digest of a file."""
-
-
-def with_files(program: Program, change: Callable[[File], File]) -> Program:
-    """The program with each mesh and picture of its world changed."""
-    world = _with_files(program.world, change)
-    assert isinstance(world, WorldModel)  # as it was
-    if not (program.cases or program.curriculum):
-        return replace(program, world=world)
-    cases = tuple(replace(case, program=with_files(case.program, change)) for case in program.cases)
-    curriculum = tuple(replace(stage, program=with_files(stage.program, change)) for stage in program.curriculum)
-    return replace(program, world=world, cases=cases, curriculum=curriculum)
-
-
-def _with_files(value: Any, change: Callable[[File], File]) -> Any:
-    if isinstance(value, File):
-        return change(value)
-    if is_dataclass(value) and not isinstance(value, type):
-        inside = {field.name: getattr(value, field.name) for field in fields(value)}
-        changed = {name: _with_files(member, change) for name, member in inside.items()}
-        return replace(value, **changed) if any(changed[name] is not inside[name] for name in inside) else value
-    if isinstance(value, tuple) and not isinstance(value, Scalar):
-        items = tuple(_with_files(item, change) for item in value)
-        return items if any(new is not old for new, old in zip(items, value, strict=True)) else value
-    return value
-
-
 def record_members(part: object) -> dict[str, Any] | None:
-    """The members of a record by name, as they count for the digest; None for what is no record."""
+    """The members of a record by name, as they count for the digest; None for what is no record. Of a path, the suffix counts."""
     if isinstance(part, Scalar):
         return part._asdict()
     if hasattr(part, "digest_fields"):
         return part.digest_fields()  # type: ignore[no-any-return]
     if is_dataclass(part) and not isinstance(part, type):
-        return {field.name: getattr(part, field.name) for field in fields(part)}
+        members = {field.name: getattr(part, field.name) for field in fields(part)}
+        return members | {"path": PurePath(part.path).suffix} if isinstance(part, Mesh | Picture) else members
     return None
 
 

@@ -38,16 +38,10 @@ def observation_space(agent: Agent) -> gym.Space[Any]:
     return gym.spaces.Dict(parts)
 
 
-def history_length(agent: Agent) -> int:
-    """How many steps must be kept for the longest history."""
-    stack = agent.frame_stack
-    return stack + max([entry.history for entry in agent.observation], default=1) - 1
-
-
 def frame_indices(agent: Agent) -> NDArray[np.intp]:
     """The indices of the numbers of an observation in a ring of frames; row p is for a newest frame in place p."""
     seen = np.array(agent.seen, np.intp).reshape(-1, 2)
-    frames = history_length(agent)
+    frames = agent.frame_stack + max([entry.history for entry in agent.observation], default=1) - 1
     newest = np.arange(frames)[:, None]
     return (newest - seen[:, 1]) % frames * len(agent.numbers) + seen[:, 0]
 

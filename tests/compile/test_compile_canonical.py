@@ -9,7 +9,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.codegen import generate_module
-from deepbots_cli.program.identity import digest, to_json
+from deepbots_cli.program.identity import digest, interface, to_json
 from tests.named import constant
 
 
@@ -22,6 +22,18 @@ def test_minus_zero_and_infinity_are_told_apart() -> None:
 def test_the_text_is_json_with_sorted_keys() -> None:
     text = to_json(api.compile("cartpole").program)
     assert json.dumps(json.loads(text), sort_keys=True, separators=(",", ":")) == text
+
+
+@pytest.mark.parametrize(
+    ("sets", "robots"),
+    [((), ("hunter",)), (("signals.pull=turn", "robots.prey.receive={whim: whim + pull, threat: 0 rad}"), ("hunter", "prey"))],
+)
+def test_an_agent_commands_the_robots_whose_messages_depend_on_its_action_and_agrees_with_them(sets, robots) -> None:
+    program = api.compile("tag", overrides=sets).program
+    assert program.agents == {"agent": program.agent}
+    assert program.agent.robots == robots
+    items = [name for name in interface(program)["agent"] if name.startswith("message")]
+    assert {name.partition(".")[0].split()[-1] for name in items} == set(robots)
 
 
 @pytest.mark.parametrize("text", ['"""\nimport os\n"""', "'''", "\\", "\\u0022", "a\r\nb", "{x}", "\x00", 'Ends with a quote"'])

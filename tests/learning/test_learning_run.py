@@ -21,7 +21,7 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import Run, new_directory
-from deepbots_cli.program import identity
+from deepbots_cli.robots.model import Mesh
 
 
 def test_a_run_keeps_everything_that_it_was_made_from(trained: TrainingResult) -> None:
@@ -236,8 +236,8 @@ def test_a_run_whose_project_is_gone_finds_its_meshes_in_its_own_copies(tmp_path
     shutil.move(result.run, tmp_path / "moved")
     run = Run.open(tmp_path / "moved")
     assert (run.digest, run.notes()) == (run.record.digest, [])
-    meshes: list[str] = []
-    identity.with_files(run.program, lambda mesh: meshes.append(mesh.path) or mesh)
+    links = run.program.world.robots[0].model.links
+    meshes = [part.shape.path for link in links for part in (*link.visuals, *link.collisions) if isinstance(part.shape, Mesh)]
     assert meshes == [str(tmp_path / "moved" / "inputs" / "part.obj")]
     with closing(api.build(run.program)) as environment:
         environment.reset(seed=0)

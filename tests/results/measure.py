@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from datetime import UTC, datetime
 from functools import cache, partial
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import deepbots_cli
@@ -165,8 +165,7 @@ def _with(program: Program, policy: Mapping[str, Any], **changes: Any) -> Progra
 
 def digest(program: Program) -> str:
     """SHA-256, in hexadecimal, of all that differs from a default; a new feature leaves the figures of scenarios without it alone."""
-    placeless = identity.with_files(_with(program, {}, summary=""), lambda file: replace(file, path=PurePath(file.path).suffix))
-    return hashlib.sha256(json.dumps(_plain(placeless), sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(_plain(_with(program, {}, summary="")), sort_keys=True).encode()).hexdigest()
 
 
 def _plain(value: object) -> Any:

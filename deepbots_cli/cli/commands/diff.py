@@ -341,8 +341,7 @@ def _orders(scenario: Program) -> Iterator[tuple[tuple[str, Effect], list[str]]]
 def values(scenario: Program) -> dict[str, str]:
     """Every value of a scenario as text, by path; without cases, stages and paths of files."""
     kinds = dict.fromkeys(scenario.failures, "failure") | dict.fromkeys(scenario.agent.success, "success")
-    plain = replace(scenario.with_agents(robots=(), success=()), cases=(), curriculum=())
-    leaves = _leaves(identity.with_files(plain, lambda file: replace(file, path="")), "")
+    leaves = _leaves(replace(scenario.with_agents(robots=(), success=()), cases=(), curriculum=()), "")
     return {re.sub(r"^endings/(\w+)", lambda found: f"endings/{kinds[found[1]]}/{found[1]}", path): text for path, text in leaves}
 
 
