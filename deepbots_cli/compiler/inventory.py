@@ -53,13 +53,18 @@ def names_at(checked: CheckedScenario, kind: str, path: NodePath = ()) -> list[N
 
     Inside of a robot its parts go by their short names, elsewhere by full ones, as `cart.pole_hinge`.
     """
-    if checked.namespace is None or checked.spec is None:
+    namespace = checked.namespace
+    if namespace is None or checked.spec is None:
         return []
     if kind in _OF_ROBOTS:
-        return list(_of_robots(checked.namespace, kind, path))
+        return list(_of_robots(namespace, kind, path))
     if kind in ("action", "choice", "option", "layout", *_OF_TESTS):
-        return _keys(checked.namespace, kind, path)
-    return [NameEntry("arena", "the floor of the arena")] if kind == "region" else _of_namespace(checked.namespace, kind, path)
+        return _keys(namespace, kind, path)
+    if kind == "region":
+        return [NameEntry("arena", "the floor of the arena")]
+    if kind == "value":
+        return _defined(namespace, SupervisorScope(namespace, Context.OBSERVATION).names())
+    return _defined(namespace, namespace.names_of(*_ORIGINS.get(kind, ())))
 
 
 def _of_robots(namespace: Namespace, kind: str, path: NodePath) -> Iterator[NameEntry]:
@@ -115,12 +120,6 @@ def _of_tests(namespace: Namespace, kind: str) -> list[NameEntry]:
     free = {"policy": [NameEntry(name, "actions without a script") for name in PLAIN_POLICIES]}
     endings = _defined(namespace, namespace.names_of(Origin.ENDING)) if kind == "ending" else []
     return [*endings, *(_keyed(namespace, *place) for place in found[kind]), *free.get(kind, ())]
-
-
-def _of_namespace(namespace: Namespace, kind: str, path: NodePath) -> list[NameEntry]:
-    if kind == "value":
-        return _defined(namespace, SupervisorScope(namespace, Context.OBSERVATION).names())
-    return _defined(namespace, namespace.names_of(*_ORIGINS.get(kind, ())))
 
 
 def definition(checked: CheckedScenario, name: str, robot: str | None = None) -> NameEntry | None:

@@ -19,7 +19,6 @@ from deepbots_cli.rollout import Episode
 from deepbots_cli.view.frames import COLOURS, LinkName
 from deepbots_cli.view.plots import (
     THEMES,
-    Curve,
     TrainingLog,
     ending_colours,
     plot_band,
@@ -90,16 +89,13 @@ def shares(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
         return None
     at = np.linspace(min(steps[0] for steps, _ in curves), max(steps[-1] for steps, _ in curves), 200)
     at = np.union1d(at, np.concatenate([steps[np.isnan(values)] for steps, values in curves]))  # where a stage begins
-    sizes = np.array([np.mean([np.interp(at, *_sizes(log.terms[term])) for log in logs if term in log.terms], axis=0) for term in terms])
+    known = [[log.terms[term] for log in logs if term in log.terms] for term in terms]
+    sizes = np.array([np.mean([np.interp(at, steps, np.abs(values)) for steps, values in each], axis=0) for each in known])
     figure, ((panel,),) = _figure(theme, 2.9)
     colours = [styles[term]["color"] for term in terms]
     panel.stackplot(at, sizes / np.maximum(sizes.sum(axis=0), 1e-12), labels=terms, colors=colours, alpha=0.85, linewidth=0)
     panel.set_ylim(0, 1)
     return _with_legend(figure, style_panel(panel, "size of each reward term, share of all", theme, stages=[logs]))
-
-
-def _sizes(curve: Curve) -> Curve:
-    return curve[0], np.abs(curve[1])
 
 
 def endings(logs: Sequence[TrainingLog], theme: str) -> Figure | None:

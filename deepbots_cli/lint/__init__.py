@@ -37,25 +37,9 @@ from deepbots_cli.lint import endings, incentives, names, observations, rewards,
 from deepbots_cli.lint.context import RuleContext, SimulatedRule, Simulation, StaticRule
 from deepbots_cli.lint.simulation import Limits, measure
 
-STATIC_RULES: tuple[StaticRule, ...] = (
-    *names.STATIC_RULES,
-    *robots.STATIC_RULES,
-    *world.STATIC_RULES,
-    *observations.STATIC_RULES,
-    *saturation.STATIC_RULES,
-    *rewards.STATIC_RULES,
-    *incentives.STATIC_RULES,
-    *shaping.STATIC_RULES,
-    *endings.STATIC_RULES,
-)
-SIMULATED_RULES: tuple[SimulatedRule, ...] = (
-    *world.SIMULATED_RULES,
-    *robots.SIMULATED_RULES,
-    *observations.SIMULATED_RULES,
-    *rewards.SIMULATED_RULES,
-    *incentives.SIMULATED_RULES,
-    *endings.SIMULATED_RULES,
-)
+_MODULES = (names, world, robots, observations, saturation, rewards, incentives, shaping, endings)
+STATIC_RULES: tuple[StaticRule, ...] = tuple(rule for module in _MODULES for rule in getattr(module, "STATIC_RULES", ()))
+SIMULATED_RULES: tuple[SimulatedRule, ...] = tuple(rule for module in _MODULES for rule in getattr(module, "SIMULATED_RULES", ()))
 
 _CAUSES = frozenset({"DB315"})
 """Warnings that may explain an error: an arm that cannot reach its target contorts."""

@@ -163,7 +163,8 @@ class Simulator:
         self, environment: Supervisor, rollouts: tuple[Rollout, ...], arms: ArmWatch | None = None, counted_as: str | None = None
     ) -> None:
         for rollout in rollouts:
-            if counted_as is None and rollout.policy in (RANDOM, HELD_RANDOM) and self._random_steps() >= self._plan.min_random_steps:
+            done = sum(counter.steps for by, counter in self._counters.items() if by in (RANDOM, HELD_RANDOM))
+            if counted_as is None and rollout.policy in (RANDOM, HELD_RANDOM) and done >= self._plan.min_random_steps:
                 continue
             counter = self._counters.setdefault(counted_as or rollout.policy, Counter(self._program))
             self._write({"at": [rollout.policy, rollout.seed]})
@@ -178,9 +179,6 @@ class Simulator:
             finally:
                 if arms is not None:
                     self._write_misses(arms, rollout.policy, rollout.seed)
-
-    def _random_steps(self) -> int:
-        return sum(self._counters[by].steps for by in (RANDOM, HELD_RANDOM) if by in self._counters)
 
     def _episode(self, environment: Supervisor, rollout: Rollout, counter: Counter, *, report: bool) -> None:
         taken = self._steps(environment, rollout)

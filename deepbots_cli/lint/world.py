@@ -25,7 +25,7 @@ from deepbots_cli.lint.observations import may_be_noisy
 from deepbots_cli.lint.simulation import MeasuredOverlap
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
-from deepbots_cli.program.robots import Route, Sensor
+from deepbots_cli.program.robots import Sensor
 from deepbots_cli.program.world import ARENA_WALLS, GROUND, ObjectBody, RobotBody, Variant
 from deepbots_cli.robots.model import Capsule, Cylinder, Mesh, Shape, Sphere, volume
 
@@ -302,22 +302,19 @@ def _varies(analysis: Analysis) -> bool:
     """Whether anything is random that no function of the language draws."""
     program = analysis.program
     values = [*program.signals, *program.agent.reward, *program.endings]
+    routes = [route for robot in program.robots for route in (robot.to_route, robot.from_route)]
     return bool(
         program.reset.variations
         or program.disturbances
         or any(thing.variants for thing in program.world.objects)
         or len(program.reset.layouts) > 1
         or any(place.spot is not None or _draws_coordinates(place) for place in analysis.placements)
-        or any(_is_random(route) for robot in program.robots for route in (robot.to_route, robot.from_route))
+        or any(setting is not None for route in routes for setting in (route.loss, route.burst, route.latency))
         or any(entry.noise for entry in program.agent.observation)
         or any(value.noise for value in may_be_noisy(program))
         or any(_has_noise(sensor) for robot in program.robots for sensor in robot.sensors)
         or any(value.foreign for value in values)
     )
-
-
-def _is_random(route: Route) -> bool:
-    return route.loss is not None or route.burst is not None or route.latency is not None
 
 
 def _has_noise(sensor: Sensor) -> bool:

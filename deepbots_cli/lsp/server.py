@@ -195,7 +195,8 @@ class CodeActions:
         if _is_wanted(types.CodeActionKind.QuickFix.value, only):
             for finding, analysis in self._findings(range):
                 found += self._actions_for(finding, analysis)
-        if _is_wanted(FIX_ALL, only) and self._document.is_scenario and self._has_safe_fixes:
+        known = self._analysis.findings if self._analysis is not None and self._document.is_scenario else ()
+        if _is_wanted(FIX_ALL, only) and any(finding.fix is not None and finding.fix.safe for finding in known):
             found.append(types.CodeAction("Make all safe fixes", kind=FIX_ALL, data={"uri": self._document.uri}))
         return found
 
@@ -222,10 +223,6 @@ class CodeActions:
     def _analysis(self) -> DocumentAnalysis | None:
         known = self._workspace.latest.get(self._document.uri)
         return known if known is not None and known.document is self._document else None
-
-    @property
-    def _has_safe_fixes(self) -> bool:
-        return self._analysis is not None and any(found.fix is not None and found.fix.safe for found in self._analysis.findings)
 
     def _findings(self, range: types.Range) -> Iterator[tuple[Finding, DocumentAnalysis]]:
         """The findings in the document that touch the range, each once."""
