@@ -21,7 +21,7 @@ from yaml.events import AliasEvent, CollectionEndEvent, MappingStartEvent, Scala
 
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Label, Source, Span
 from deepbots_cli.document import hints
-from deepbots_cli.document.nodes import Entry, MappingNode, Node, ScalarNode, SequenceNode, Style, Value, count_and_depth
+from deepbots_cli.document.nodes import Entry, MappingNode, Node, ScalarNode, SequenceNode, Style, Value, count_and_depth, to_data
 
 MAX_DEPTH = 64
 # The largest shipped scenario has 500.
@@ -79,6 +79,12 @@ def parse(source: Source, findings: Findings, budget: Budget | None = None, *, t
             if broken is None or finding.span.start_position.line != broken.span.start_position.line:
                 findings.append(finding)
     return None
+
+
+def has_same_values(source: Source, text: str) -> bool:
+    """Whether another text of the document has the same values: text that looks like a comment may be part of a value."""
+    before, after = (parse(each, Findings()) for each in (source, Source(source.name, text)))
+    return before is not None and after is not None and to_data(before) == to_data(after)
 
 
 class _OverLimitError(Exception):

@@ -17,8 +17,8 @@ from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Source
 from deepbots_cli.document import files, shipped
 from deepbots_cli.document.load import NO_DRAFTS, Drafts
-from deepbots_cli.document.nodes import MappingNode, enclosing_entry, to_data
-from deepbots_cli.document.parse import parse
+from deepbots_cli.document.nodes import MappingNode, enclosing_entry
+from deepbots_cli.document.parse import has_same_values
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint import all_findings
 
@@ -160,7 +160,8 @@ class Fixer:
             return False
         if finding.code in _PER_SCENARIO and finding.span.source is not next(iter(linted.files.values())):
             return False
-        return finding.code != "DB901" or _keeps_values(finding.span.source, finding.fix.edits)
+        source = finding.span.source
+        return finding.code != "DB901" or has_same_values(source, _apply(source, finding.fix.edits))
 
     def _try(self, name: str, fixes: list[Finding], before: dict[str, LintResult], drafts: Drafts) -> bool:
         """Apply fixes to the state at the beginning of a round; they stay applied if they do no harm."""
@@ -211,12 +212,6 @@ def _apply(source: Source, edits: Iterable[Edit]) -> str:
     for edit in sorted(edits, key=lambda edit: edit.span.start, reverse=True):
         text = text[: edit.span.start] + edit.text + text[edit.span.end :]
     return text
-
-
-def _keeps_values(source: Source, edits: Iterable[Edit]) -> bool:
-    """Whether edits change comments alone: text that looks like a comment may be part of a value."""
-    before, after = (parse(text, Findings()) for text in (source, Source(source.name, _apply(source, edits))))
-    return before is not None and after is not None and to_data(before) == to_data(after)
 
 
 def _outside(added: Iterable[Finding], root: MappingNode, edits: Iterable[Edit]) -> list[Finding]:

@@ -24,12 +24,12 @@ from pygls.protocol import LanguageServerProtocol
 
 import deepbots_cli
 from deepbots_cli import api
-from deepbots_cli.diagnostics import Edit, Finding
+from deepbots_cli.diagnostics import Edit, Finding, Source
 from deepbots_cli.diagnostics.render import message, shortened
 from deepbots_cli.document import Permissions
 from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.document.load import Drafts, allowed_folders
-from deepbots_cli.document.nodes import to_data
+from deepbots_cli.document.parse import has_same_values
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lsp.completion import completion
@@ -273,7 +273,7 @@ class CodeActions:
             at, added = begin + known.end(1), f", {finding.code}"
         else:
             at, added = begin + len(line), f"  # deepbots: ignore[{finding.code}]"
-        if not _has_same_values(self._document, text[:at] + added + text[at:]):
+        if not has_same_values(Source("", text), text[:at] + added + text[at:]):
             return None
         position = self._document.lines.position(at)
         return types.TextEdit(types.Range(position, position), added)
@@ -301,12 +301,6 @@ def _title(edit: Edit) -> str:
     if new and not old:
         return f"Insert `{new}`"
     return f"Replace `{old}` with `{new}`" if new else f"Remove `{old}`"
-
-
-def _has_same_values(document: Document, text: str) -> bool:
-    _, before, _ = document.read()
-    _, after, _ = Document(document.uri, document.version, text, document.path).read()
-    return before is not None and after is not None and to_data(before) == to_data(after)
 
 
 def formatting(document: Document) -> list[types.TextEdit]:

@@ -386,7 +386,7 @@ class Page:
             self._training_read_at = time.monotonic()
 
     def _add_plots(self) -> None:
-        gui, layout = self.server.gui, self._panel_of_agent.player.reader.layout
+        gui, layout = self.server.gui, self.panels[self._agent[0]].player.reader.layout
         fields: dict[str, list[tuple[PlottedField, PlottedValue]]] = {}
         for number, each in enumerate(layout.observation):
             fields.setdefault(each.group, []).append((each, partial(_observation_value, number)))
@@ -510,10 +510,6 @@ class Page:
     def _set_seed(self, seed: int) -> None:
         self.seed, self.episode = seed, 0
         self._begin()
-
-    @property
-    def _panel_of_agent(self) -> WorldPanel:
-        return self.panels[self._agent[0]]
 
     def _choose_agent(self, label: str) -> None:
         self._agent = self._agents[label]

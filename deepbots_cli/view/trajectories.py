@@ -77,7 +77,8 @@ def find_moving(program: Program, world: WorldModel, episodes: Sequence[Position
     moving = [part for part in found if extents[part] >= least] or found[:1]
     objects = {thing.name.partition("#")[0] for thing in world.objects}
     rank = min((subject.rank for subject in subjects if subject.body in objects), default=0)
-    avoided = _avoided(program, analysis) if rank else set()
+    failures = [value for value in program.endings if value.name in program.failures]  # they read walls that must not be touched
+    avoided = {body for value in failures for body, _ in _read_by(analysis, value)} if rank else set()
     reached = {subject.body for subject in subjects if subject.rank == rank < 2} - avoided
     standing = [(thing.name, thing.name) for thing in world.objects if thing.name.partition("#")[0] in reached]
     targets = [part for part in extents if not part[0]] + [part for part in standing if part in extents and part not in moving]
@@ -113,11 +114,6 @@ def _subjects(program: Program, analysis: Analysis) -> list[_Subject]:
         for both in _read_by(analysis, value):
             found.setdefault(both, _Subject(*both, rank))
     return list(found.values())
-
-
-def _avoided(program: Program, analysis: Analysis) -> set[str]:
-    """The bodies that a failure reads, such as walls that must not be touched."""
-    return {body for value in program.endings if value.name in program.failures for body, _ in _read_by(analysis, value)}
 
 
 def _read_by(analysis: Analysis, value: Expression) -> Iterator[tuple[str, str]]:
