@@ -33,7 +33,7 @@ def _made(scenario: str, algorithm: str, activation: str = "tanh", frame_stack: 
     program = api.compile(scenario).program
     training = Training(algorithm, 1000, network=Network((32, 32), activation))
     program = program.with_agents(training=training, frame_stack=frame_stack)
-    learner = learners.create(learners.Setup(training, observation_space(program), action_space(program)))
+    learner = learners.create(learners.Setup(training, observation_space(program.agent), action_space(program.agent)))
     with torch.no_grad():
         for weight in learner.model.policy.parameters():
             weight.mul_(1.5).add_(0.05 * torch.randn_like(weight))
