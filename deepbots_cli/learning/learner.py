@@ -73,6 +73,8 @@ class Learner(ABC):
     """The part of a checkpoint that is JSON."""
     takes_masks = False
     """Whether `predict` takes which options are allowed."""
+    takes_callbacks = True
+    """Whether it calls the followers of `begin`."""
     confirms = False
     """Whether one evaluation is not enough to end a training, since updates are large."""
     device = "cpu"
@@ -225,6 +227,7 @@ class ArrayLearner(Learner):
     """
 
     fragment_steps = 64
+    takes_callbacks = False
     fragment: Fragment
 
     def __init__(self, setup: Setup) -> None:
@@ -239,8 +242,6 @@ class ArrayLearner(Learner):
         return {}
 
     def begin(self, total: int, monitor: TrainingCallback, followers: Sequence[Any] = ()) -> None:
-        if followers:
-            raise UsageError(f"callbacks follow the built-in algorithms, and {self.setup.training.algorithm} is none; leave out --callback")
         self._monitor = monitor
 
     def start(self) -> None:

@@ -54,7 +54,6 @@ from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.collector import LocalCollector
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.rollout.worlds import BatchWorlds, Worlds
-from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
 
@@ -107,7 +106,7 @@ def train(
         DeepbotsError: The world, a callback or a logger failed; names step and cause.
     """
     compiled = api.compile(scenario)
-    training = _training_of(compiled.program, total_timesteps)
+    training = _training_of(compiled.program, total_timesteps, callbacks)
     if not 0 <= seed < 2**63:
         raise UsageError(f"{seed} cannot be a seed, which is a whole number from 0 to {2**63 - 1}")
     if not 0 <= keep_checkpoints <= 10_000:
@@ -150,9 +149,9 @@ def train(
     with run_lock(path):
         new = Run.create(path, record, compiled)
         if source is not None:
-            shutil.copyfile(source.model("best"), _initial(new))
+            shutil.copyfile(source.model("best"), new.model("initial"))
         on_start(path)
-        return run_training(new, training, _checkpoints(new, training), build, reporter(progress))
+        return run_training(new, training, Checkpoints(new, learners.class_of(training).State), build, reporter(progress))
 
 
 def resume(
@@ -174,12 +173,11 @@ def resume(
     Args:
         run: The directory of the run.
         total_timesteps: The new goal, counted from the very start; the run's own by default.
-        stop_when_solved: As for `train`; the run's own by default. A run that ended because it was solved goes on regardless.
-        callbacks: As for `train`, in the place of the run's own, from now on; () for none. Weights may then differ.
-        loggers: As for `train`, in the place of the run's own, from now on; () for none.
-        progress: As for `train`.
+        stop_when_solved: The run's own by default. A run that ended because it was solved goes on regardless.
+        callbacks: In the place of the run's own, from now on; () for none. Weights may then differ. Likewise `loggers`.
         permissions: With `code`, terms in Python run.
-        build: As for `train`.
+
+    The other arguments are those of `train`.
 
     Raises:
         RunError: No run, or one that is damaged; else as for `train`.
@@ -198,10 +196,11 @@ def resume(
         except UsageError as error:
             error.add_note("to continue without callbacks or loggers: --callback none, --logger none")
             raise
-        training = _training_of(known.program, record.total_timesteps if total_timesteps is None else total_timesteps)
-        if latest_checkpoint(known) is None and (record.status == "finished" or _has_learned(known)):
+        training = _training_of(known.program, record.total_timesteps if total_timesteps is None else total_timesteps, callbacks)
+        last = known.model("last")
+        if latest_checkpoint(known) is None and (record.status == "finished" or (last.exists() and learners.steps_of(last) > 0)):
             raise RunError(f"{known.checkpoints} contains no checkpoint to continue from")
-        checkpoints = _checkpoints(known, training)
+        checkpoints = Checkpoints(known, learners.class_of(training).State)
         steps = checkpoints.state.statistics.steps if checkpoints.state else 0
         if set(callbacks) != set(record.callbacks):
             before, since = (", ".join(names) or "none" for names in (record.callbacks, callbacks))
@@ -225,21 +224,7 @@ def resume(
         return run_training(known, training, checkpoints, build, reporter(progress), before=record)
 
 
-def _initial(run: Run) -> Path:
-    """The model that the training begins with, where it is another's."""
-    return run.model("initial")
-
-
-def _has_learned(run: Run) -> bool:
-    last = run.model("last")
-    return last.exists() and learners.steps_of(last) > 0
-
-
-def _checkpoints(run: Run, training: Training) -> Checkpoints:
-    return Checkpoints(run, learners.class_of(training).State)
-
-
-def _training_of(program: Program, total_timesteps: int | None) -> Training:
+def _training_of(program: Program, total_timesteps: int | None, callbacks: Sequence[str]) -> Training:
     if find_spec("tensorboard") is None:  # the log would only notice with the run half made
         raise MissingExtraError("train", "training")
     if program.agent.training is None:
@@ -249,7 +234,10 @@ def _training_of(program: Program, total_timesteps: int | None) -> Training:
         raise UsageError(f"total_timesteps must be at least 1, and is {training.total_timesteps}")
     if training.total_timesteps > MAX_STEPS:
         raise UsageError(f"a training of {training.total_timesteps} steps would never end; write at most {MAX_STEPS}")
-    learners.class_of(training).check(training)
+    kind = learners.class_of(training)
+    kind.check(training)
+    if callbacks and not kind.takes_callbacks:
+        raise UsageError(f"callbacks follow the built-in algorithms, and {training.algorithm} is none; leave out --callback")
     algorithms.check_memory(training.environments)
     return training
 
@@ -316,7 +304,7 @@ def run_training(
             checkpoints.attach(callback, learner, log)
             checkpoints.on_restored.append(lambda: log.open(training, is_new=checkpoints.state is None))
             if run.record.initialized_from is not None:
-                learner.initialize(_initial(run))
+                learner.initialize(run.model("initial"))
             stack.enter_context(signals_handled(callback.interruption))
             stack.enter_context(_silence_writer_threads())
             stack.callback(log.close)
@@ -402,11 +390,10 @@ def make_training_env(
     reporter: Reporter,
 ) -> Worlds:
     """The worlds, which report to the statistics and the episode log; all closed with `stack`."""
-    statistics, curriculum = callback.statistics, callback.curriculum
+    statistics, curriculum, stages = callback.statistics, callback.curriculum, checkpoints.stages
     log = EpisodeLog(run.monitor, run.program.name)
     checkpoints.on_restored.append(log.open)
     stack.callback(log.close)
-    stages = checkpoints.stages
     if not stages:
         stages.extend([curriculum.index] * training.environments)
 
@@ -442,9 +429,16 @@ def make_training_env(
     seeds = [derive_seed(run.record.seed, "environment", i) for i in range(len(stages))]
     env: Worlds
     if not reasons_against_batch(run.program, len(stages), run.record.engine, build):
-        build_stage = partial(_batch_of_stage, run, curriculum, len(stages))
         recorder = BatchFailureRecorder(run, guarded, statistics, curriculum, reporter)
-        env = BatchWorlds(build_stage, seeds, stages, on_step=count_step, on_episode=count_episode, next_seed=next_seed, recorder=recorder)
+        env = BatchWorlds(
+            lambda stage: build_batch(curriculum.scenario_of(stage), len(stages), engine=run.record.engine),
+            seeds,
+            stages,
+            on_step=count_step,
+            on_episode=count_episode,
+            next_seed=next_seed,
+            recorder=recorder,
+        )
         stack.callback(env.close)
     else:
         for stage in stages:
@@ -459,10 +453,6 @@ def _enter_stage(run: Run, curriculum: Curriculum, stages: list[int], world: int
         return None
     stages[world] = curriculum.index
     return derive_seed(run.record.seed, "environment", world, "stage", curriculum.index)
-
-
-def _batch_of_stage(run: Run, curriculum: Curriculum, count: int, stage: int) -> BatchSupervisor:
-    return build_batch(curriculum.scenario_of(stage), count, engine=run.record.engine)
 
 
 def learn_until_done(
