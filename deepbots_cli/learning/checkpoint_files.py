@@ -222,7 +222,8 @@ def read_arrays(path: Path, specs: Mapping[str, ArraySpec], others: Sequence[str
             members = [member for member in archive.infolist() if member.filename not in others]
             if sum(member.file_size for member in members) > path.stat().st_size or any(m.compress_type for m in members):
                 raise ValueError("it is compressed")
-            found = {name: _read_array(archive, member, specs.get(name)) for member in members for name in [_array_name(member)]}
+            names = [member.filename.removesuffix(".npy") for member in members]
+            found = {name: _read_array(archive, member, specs.get(name)) for name, member in zip(names, members, strict=True)}
         missing = [name for name, spec in specs.items() if name not in found and not spec.is_optional]
         if missing:
             raise ValueError(f"'{missing[0]}' is missing")
@@ -230,10 +231,6 @@ def read_arrays(path: Path, specs: Mapping[str, ArraySpec], others: Sequence[str
         reason = str(error).splitlines()[0][:120] if str(error) else "cut short"
         raise RunError(f"{path} is damaged ({reason})") from error
     return found
-
-
-def _array_name(member: zipfile.ZipInfo) -> str:
-    return member.filename.removesuffix(".npy")
 
 
 def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, spec: ArraySpec | None) -> Array:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from itertools import islice
 from pathlib import Path
 from shlex import quote
@@ -194,22 +194,18 @@ def _failure_text(
     if run is None:
         return text
     actions = [_plain(action) for action in history.actions]
-    path = write_failure(run, Failure(error=error, step=len(actions), episode=number, case=case, stage=stage, start=start, actions=actions))
-    return text if path is None else f"{text}\nreproduce it with: deepbots run {quote(str(path))}"
+    failure = Failure(error=error, step=len(actions), episode=number, case=case, stage=stage, start=start, actions=actions)
+    try:
+        path = write_numbered(run.path / FAILURES_FOLDER, failure.model_dump_json() + "\n")
+    except RunError:  # the run cannot be written to
+        return text
+    return f"{text}\nreproduce it with: deepbots run {quote(str(path))}"
 
 
 def is_finite(observation: Any) -> bool:
     """Whether all numbers of an observation are finite. A dot product takes 0.3 us, a third of `numpy.isfinite`."""
     parts = observation.values() if isinstance(observation, dict) else (observation,)
     return all(math.isfinite(np.vdot(part, part)) or bool(np.isfinite(part).all()) for part in parts if part.dtype != np.uint8)
-
-
-def write_failure(run: Run, failure: Failure) -> Path | None:
-    """Write a failure under the next free number; None if the run cannot be written to."""
-    try:
-        return write_numbered(run.path / FAILURES_FOLDER, failure.model_dump_json() + "\n")
-    except RunError:
-        return None
 
 
 def read_failure(path: Path) -> tuple[Failure, Run, Program]:
@@ -229,11 +225,13 @@ def repeat_steps(failure: Failure, program: Program, world: gym.Env[Any, Any], p
         RunError: The file `path` of the failure is damaged.
         DeepbotsError: The episode fails again.
     """
-    with _damaged(path):
+    try:
         actions = [_action(world.action_space, kept) for kept in failure.actions]
         start = _start(failure.start)
         if start.state is not None:
             set_random_state(world, start.state)
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
+        raise RunError(f"{path} is damaged, or of another scenario ({type(error).__name__})") from error
     guarded = FailureRecorder(world, program=program, episode=lambda: failure.episode)
     for step in islice(steps(guarded, sequence_driver(actions), start._replace(state=None)), len(actions) + 1):
         yield step.number
@@ -262,14 +260,6 @@ def reproduce(path: Path, *, permissions: Permissions = Permissions()) -> tuple[
 
 def _start(kept: int | dict[str, Any]) -> Start:
     return Start(state=kept) if isinstance(kept, dict) else Start(kept)
-
-
-@contextmanager
-def _damaged(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
-        raise RunError(f"{path} is damaged, or of another scenario ({type(error).__name__})") from error
 
 
 def _plain(action: Any) -> Any:

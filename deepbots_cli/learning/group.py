@@ -248,9 +248,11 @@ def _train_seeds(group: Group, compiled: Compiled, changes: Mapping[str, Any], o
         path = group.run(seed)
         try:
             begun = RunRecord.read(path) if folder_kind(path) is SourceKind.RUN else None
-            if begun is not None and _is_done(begun, changes.get("total_timesteps")):
-                skipped.append(seed)
-                continue
+            if begun is not None and begun.status == "finished":
+                goal = changes.get("total_timesteps")
+                if goal is None or (begun.result is not None and begun.result.steps >= goal):
+                    skipped.append(seed)
+                    continue
             if on_seed is not None:
                 on_seed(seed, place + 1, len(seeds))
             if begun is not None:
@@ -269,8 +271,3 @@ def _train_seeds(group: Group, compiled: Compiled, changes: Mapping[str, Any], o
             waiting = seeds[place:]
             break
     return GroupTraining(group.path, tuple(trained), tuple(skipped), failed, waiting)
-
-
-def _is_done(record: RunRecord, total_timesteps: int | None) -> bool:
-    reached = record.result is not None and total_timesteps is not None and record.result.steps >= total_timesteps
-    return record.status == "finished" and (total_timesteps is None or reached)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -142,21 +141,15 @@ def loaded(run: Run, model: ModelName) -> Learner:
     Raises:
         RunError: There is no such model, or it is damaged.
     """
-    with _generators_kept():
-        return load_model(run, model)
+    python, legacy = random.getstate(), np.random.get_state()
+    with torch.random.fork_rng():  # a library may seed the global generators when it makes a model
+        found = load_model(run, model)
+    random.setstate(python)
+    np.random.set_state(legacy)
+    return found
 
 
 def _values(part: Choices | ActionRange) -> list[ActionValue]:
     if isinstance(part, Choices):
         return [ActionValue(part.name, tuple(option.name for option in part.options))]
     return [ActionValue(name, (), part.unit.removeprefix("1"), part.low, part.high) for name in part.names]
-
-
-@contextmanager
-def _generators_kept() -> Iterator[None]:
-    """A library may seed the global generators when it makes a model."""
-    python, legacy = random.getstate(), np.random.get_state()
-    with torch.random.fork_rng():
-        yield
-    random.setstate(python)
-    np.random.set_state(legacy)

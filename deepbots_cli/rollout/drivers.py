@@ -27,7 +27,11 @@ def named_driver(world: gym.Env[Any, Any], name: str) -> Driver:
     """
     if name == RANDOM:
         return random_driver(world)
-    return constant_driver(zero_action(world.action_space)) if name == ZERO else script_driver(world, name)
+    if name == ZERO:
+        return constant_driver(zero_action(world.action_space))
+    world.get_wrapper_attr("scenario").script(name)
+    act = partial(world.get_wrapper_attr("script"), name)
+    return Driver(lambda _: act())
 
 
 def random_driver(world: gym.Env[Any, Any]) -> Driver:
@@ -39,17 +43,6 @@ def random_driver(world: gym.Env[Any, Any]) -> Driver:
 def constant_driver(action: Any) -> Driver:
     """The same action in every step."""
     return Driver(lambda _: action)
-
-
-def script_driver(world: gym.Env[Any, Any], name: str) -> Driver:
-    """A script of the scenario.
-
-    Raises:
-        UsageError: There is no such script.
-    """
-    world.get_wrapper_attr("scenario").script(name)
-    act = partial(world.get_wrapper_attr("script"), name)
-    return Driver(lambda _: act())
 
 
 def sequence_driver(actions: Iterable[Any]) -> Driver:

@@ -117,12 +117,7 @@ class Worlds:
 
     def reset(self) -> Any:
         """Begin the first episodes, or once more from the seeds; the observations."""
-        self._accumulators = [EpisodeAccumulator() for _ in self._accumulators]
-        observations = []
-        for index, seed in enumerate(self.starts):
-            observations += self._begin(index, seed)
-        self.observations = self._stack(observations)
-        return self.observations
+        return self.repeat([EpisodeHistory(seed, []) for seed in self.starts])
 
     def step_all(self, actions: Any) -> WorldsStep:
         """Act in all rows."""

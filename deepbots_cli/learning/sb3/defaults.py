@@ -110,12 +110,8 @@ DEFAULTS: Mapping[str, Mapping[str, Default]] = {
 
 def default_values(training: Training, total_timesteps: int, longest_episode: int) -> dict[str, object]:
     """The values of our defaults; `environments` of the training counts every copy that the policy acts for."""
-    own = DEFAULTS.get(_base(training.algorithm), {})
+    own = DEFAULTS.get(ALGORITHMS[training.algorithm].base(), {})
     return {name: default.value(training, total_timesteps, longest_episode) for name, default in own.items()}
-
-
-def _base(algorithm: str) -> str:
-    return ALGORITHMS[algorithm].base()
 
 
 def longest_episode(scenario: Program) -> int:
@@ -133,8 +129,9 @@ def effective_hyperparameters(scenario: Program, total_timesteps: int) -> list[E
     given |= {name: value for name, value in (("action_noise", training.action_noise), ("replay", training.replay)) if value is not None}
     rows = training.environments * (scenario.agent.copies.count if scenario.agent.copies else 1)
     own = default_values(replace(training, environments=rows), total_timesteps, longest_episode(scenario))
-    library = library_defaults(_base(training.algorithm))
-    title = "library default" if library is None else library_of(_base(training.algorithm))
+    base = ALGORITHMS[training.algorithm].base()
+    library = library_defaults(base)
+    title = "library default" if library is None else library_of(base)
     found = []
     for name in ALGORITHMS[training.algorithm].hyperparameter_names():
         if name in given:

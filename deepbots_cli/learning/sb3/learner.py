@@ -11,19 +11,22 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from inspect import signature
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
+import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.type_aliases import RolloutReturn
 from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.her import HerReplayBuffer
 
 from deepbots_cli.learning.callbacks import TrainingCallback
 from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
 from deepbots_cli.learning.sb3 import algorithms, models, networks, rollouts, state
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment, as_returned, spaces_only
+from deepbots_cli.learning.sb3.logs import encoded, number_of
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.collector import LocalCollector
 from deepbots_cli.rollout.worlds import WorldsStep
@@ -184,25 +187,70 @@ class StableLearner(Learner):
         buffer = getattr(self.model, "replay_buffer", None)
         if buffer is not None:
             self._replay.append(buffer, self.steps // self.model.n_envs)
-        return state.fields_of(self.model) | self._replay.fields(buffer)
+        model = self.model
+        return {
+            "counts": {name: getattr(model, name) for name in get_args(state.CounterName) if hasattr(model, name)},
+            "infos": [state.EpisodeInfo(r=encoded(info["r"]), l=encoded(info["l"])) for info in model.ep_info_buffer or ()],
+            "successes": [bool(success) for success in model.ep_success_buffer or ()],
+            "action_space": model.action_space.np_random.bit_generator.state,
+            **self._replay.fields(buffer),
+        }
 
     def shared_files(self) -> Iterable[Path]:
         return self._replay.paths()
 
     def arrays(self) -> dict[str, Array]:
-        return state.arrays_of(self.model)
+        model = self.model
+        arrays: dict[str, Array] = {f"noise/{index}": noise.drift for index, noise in enumerate(self._noises) if noise.drift is not None}
+        arrays |= {f"lstm/{index}": tensor.cpu().numpy() for index, tensor in enumerate(self._memory)}
+        if (normalizer := model.get_vec_normalize_env()) is not None:
+            statistics = normalizer.ret_rms
+            arrays |= {"returns": normalizer.returns, "return_statistics": np.array([statistics.mean, statistics.var, statistics.count])}
+        if isinstance(buffer := getattr(model, "replay_buffer", None), HerReplayBuffer):
+            arrays["episode_starts"] = buffer._current_ep_start
+        return arrays
 
-    def specs(self, state_: CheckpointState) -> dict[str, ArraySpec]:
-        if state_.steps % self.model.n_envs:
-            raise ValueError(f"{len(state_.starts)} worlds after {state_.steps} steps")
-        return state.specs_of(self.model)
+    def specs(self, state: CheckpointState) -> dict[str, ArraySpec]:
+        if state.steps % self.model.n_envs:
+            raise ValueError(f"{len(state.starts)} worlds after {state.steps} steps")
+        drift = ArraySpec(np.dtype(float), self.model.action_space.shape, is_optional=True)
+        return super().specs(state) | {f"noise/{index}": drift for index in range(len(self._noises))}
 
     def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
         model = self.model
-        state.restore(model, kept, arrays)
+        for counter, value in kept.counts.items():
+            setattr(model, counter, type(getattr(model, counter))(value))
+        model._num_timesteps_at_start = model.num_timesteps
+        model.ep_info_buffer.extend({"r": number_of(info.r), "l": number_of(info.l)} for info in kept.infos)
+        model.ep_success_buffer.extend(kept.successes)
+        model._last_obs = model.env.reset()  # of the episodes that go on
+        model._last_episode_starts = model.env.unwrapped.collector.starts
+        for index, tensor in enumerate(self._memory):
+            tensor.copy_(torch.from_numpy(arrays[f"lstm/{index}"]))
+        for index, noise in enumerate(self._noises):
+            noise.drift = arrays.get(f"noise/{index}")
+        if (normalizer := model.get_vec_normalize_env()) is not None:
+            model._last_original_obs = normalizer.get_original_obs()
+            mean, var, count = arrays["return_statistics"]
+            if var < 0 or count <= 0:
+                raise ValueError("the statistics of the returns are impossible")
+            normalizer.ret_rms.mean, normalizer.ret_rms.var, normalizer.ret_rms.count = mean, var, float(count)
+            normalizer.returns = arrays["returns"]
+        model.action_space.np_random.bit_generator.state = kept.action_space.model_dump()
         if (buffer := getattr(model, "replay_buffer", None)) is not None:
             starts = arrays.get("episode_starts") if same else None
             self._replay.refill(buffer, kept, self.steps // model.n_envs, starts, model.action_space)
+
+    @property
+    def _noises(self) -> list[algorithms.DecayingNoise]:
+        noise = getattr(self.model, "action_noise", None)
+        return [] if noise is None else list(getattr(noise, "noises", [noise]))
+
+    @property
+    def _memory(self) -> list[torch.Tensor]:
+        """The state of a recurrent policy between two steps."""
+        states = getattr(self.model, "_last_lstm_states", None)
+        return [] if states is None else [*states.pi, *states.vf]
 
     @property
     def device(self) -> str:  # type: ignore[override]

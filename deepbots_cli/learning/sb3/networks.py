@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,31 +37,6 @@ class PolicyNetwork:
     layers: nn.Module
 
 
-def _actor_critic(policy: Any) -> tuple[Any, nn.Module]:
-    return policy, nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net)
-
-
-def _q_network(policy: Any) -> tuple[Any, nn.Module]:
-    return policy.q_net, policy.q_net.q_net
-
-
-def _squashed_gaussian(policy: Any) -> tuple[Any, nn.Module]:
-    return policy.actor, nn.Sequential(policy.actor.latent_pi, policy.actor.mu, nn.Tanh())
-
-
-def _deterministic(policy: Any) -> tuple[Any, nn.Module]:
-    return policy.actor, policy.actor.mu  # whose last layer is a Tanh
-
-
-_ACTORS: Mapping[str, Callable[[Any], tuple[Any, nn.Module]]] = {
-    **dict.fromkeys(("PPO", "A2C", "MaskablePPO", "RecurrentPPO"), _actor_critic),
-    "DQN": _q_network,
-    **dict.fromkeys(("SAC", "TQC"), _squashed_gaussian),
-    **dict.fromkeys(("TD3", "DDPG"), _deterministic),
-}
-"""The owner of the extractor, and the layers after it."""
-
-
 def policy_network(training: Training, policy: Any) -> PolicyNetwork:
     """The layers of the policy that an algorithm made.
 
@@ -71,8 +46,15 @@ def policy_network(training: Training, policy: Any) -> PolicyNetwork:
     if next(policy.parameters(), None) is None:
         raise UsageError(f"the policy of {training.algorithm} has no networks in torch, and cannot be exported")
     base = ALGORITHMS[training.algorithm].base()
-    owner, layers = _ACTORS[base](policy)
-    extractor = owner.pi_features_extractor if base in ("PPO", "A2C", "MaskablePPO", "RecurrentPPO") else owner.features_extractor
+    layers: nn.Module
+    if base in ("PPO", "A2C", "MaskablePPO", "RecurrentPPO"):
+        extractor, layers = policy.pi_features_extractor, nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net)
+    elif base == "DQN":
+        extractor, layers = policy.q_net.features_extractor, policy.q_net.q_net
+    else:  # the last layer of `mu` of TD3 and DDPG is a Tanh
+        actor = policy.actor
+        squashed = base in ("SAC", "TQC")
+        extractor, layers = actor.features_extractor, nn.Sequential(actor.latent_pi, actor.mu, nn.Tanh()) if squashed else actor.mu
     found = getattr(extractor, "extractors", None)  # of an observation with several parts
     space = policy.observation_space
     parts = space.spaces if found is not None else {"observation": space}

@@ -6,13 +6,12 @@ replay buffer are written once, into files that several checkpoints share.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-import torch
 from pydantic import Field, model_validator
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.her import HerReplayBuffer
@@ -30,8 +29,6 @@ from deepbots_cli.learning.checkpoint_files import (
     read_arrays,
     write_arrays,
 )
-from deepbots_cli.learning.sb3.algorithms import DecayingNoise
-from deepbots_cli.learning.sb3.logs import encoded, number_of
 
 _BUFFER_COLUMNS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts", "ep_start")
 
@@ -66,57 +63,6 @@ class StableState(CheckpointState):
         if gaps or any(first >= last or last > self.steps for first, last in self.segments) or self.replay[1] > self.steps:
             raise ValueError("the segments of its replay buffer contradict each other")
         return self
-
-
-def fields_of(model: Any) -> dict[str, Any]:
-    """The fields of `StableState`, without those of the replay buffer."""
-    return {
-        "counts": {name: getattr(model, name) for name in get_args(CounterName) if hasattr(model, name)},
-        "infos": [EpisodeInfo(r=encoded(info["r"]), l=encoded(info["l"])) for info in model.ep_info_buffer or ()],
-        "successes": [bool(success) for success in model.ep_success_buffer or ()],
-        "action_space": model.action_space.np_random.bit_generator.state,
-    }
-
-
-def arrays_of(model: Any) -> dict[str, Array]:
-    arrays: dict[str, Array] = {f"noise/{i}": noise.drift for i, noise in enumerate(_noises(model)) if noise.drift is not None}
-    arrays |= {f"lstm/{index}": tensor.cpu().numpy() for index, tensor in enumerate(_memory(model))}
-    if (normalizer := model.get_vec_normalize_env()) is not None:
-        statistics = normalizer.ret_rms
-        arrays |= {"returns": normalizer.returns, "return_statistics": np.array([statistics.mean, statistics.var, statistics.count])}
-    if isinstance(buffer := getattr(model, "replay_buffer", None), HerReplayBuffer):
-        arrays["episode_starts"] = buffer._current_ep_start
-    return arrays
-
-
-def specs_of(model: Any) -> dict[str, ArraySpec]:
-    """What the arrays of a checkpoint must be, after those of a model that has just begun."""
-    drift = np.dtype(float), model.action_space.shape
-    specs = {name: ArraySpec.like(array) for name, array in arrays_of(model).items()}
-    return specs | {f"noise/{index}": ArraySpec(*drift, is_optional=True) for index in range(len(_noises(model)))}
-
-
-def restore(model: Any, state: StableState, arrays: Mapping[str, Array]) -> None:
-    """Put the state of a checkpoint in the place of a fresh one, but for the replay buffer."""
-    for counter, value in state.counts.items():
-        setattr(model, counter, type(getattr(model, counter))(value))
-    model._num_timesteps_at_start = model.num_timesteps
-    model.ep_info_buffer.extend({"r": number_of(info.r), "l": number_of(info.l)} for info in state.infos)
-    model.ep_success_buffer.extend(state.successes)
-    model._last_obs = model.env.reset()  # of the episodes that go on
-    model._last_episode_starts = model.env.unwrapped.collector.starts
-    for index, tensor in enumerate(_memory(model)):
-        tensor.copy_(torch.from_numpy(arrays[f"lstm/{index}"]))
-    for index, noise in enumerate(_noises(model)):
-        noise.drift = arrays.get(f"noise/{index}")
-    if (normalizer := model.get_vec_normalize_env()) is not None:
-        model._last_original_obs = normalizer.get_original_obs()
-        mean, var, count = arrays["return_statistics"]
-        if var < 0 or count <= 0:
-            raise ValueError("the statistics of the returns are impossible")
-        normalizer.ret_rms.mean, normalizer.ret_rms.var, normalizer.ret_rms.count = mean, var, float(count)
-        normalizer.returns = arrays["returns"]
-    model.action_space.np_random.bit_generator.state = state.action_space.model_dump()
 
 
 class ReplayFiles:
@@ -206,14 +152,3 @@ def _columns(buffer: ReplayBuffer) -> dict[str, Array]:
 def _flat(name: str, value: Any) -> Iterator[tuple[str, Array]]:
     """An observation is an array, or a dictionary of arrays."""
     yield from ((f"{name}/{key}", part) for key, part in value.items()) if isinstance(value, dict) else [(name, value)]
-
-
-def _noises(model: Any) -> list[DecayingNoise]:
-    noise = getattr(model, "action_noise", None)
-    return [] if noise is None else list(getattr(noise, "noises", [noise]))
-
-
-def _memory(model: Any) -> list[torch.Tensor]:
-    """The state of a recurrent policy between two steps."""
-    states = getattr(model, "_last_lstm_states", None)
-    return [] if states is None else [*states.pi, *states.vf]
