@@ -2,7 +2,7 @@
 
 training.py      train and resume: joins all of the below
 evaluation.py    evaluate: a policy on held-out starts, with intervals
-verdict.py       which evaluation of a run counts, what it was made with, and whether the run is solved
+verdict.py       which evaluation of a run counts, and whether the run is solved
 run.py           the run directory: what is kept, written atomically, read with suspicion
 learner.py       what learns: the interface of an algorithm, and a base for algorithms of other packages
 sb3/             the learner of the built-in algorithms

@@ -261,36 +261,31 @@ class Summary:
     @classmethod
     def of_episodes(cls, done: Sequence[Episode], bounds: Interval = UNBOUNDED) -> Summary:
         """The summary of at least one episode; `bounds` are those of a return."""
-        return cls(**statistics_of(done, bounds))
+        # scipy is imported here: commands that only read runs work without it.
+        from deepbots_cli.learning.statistics import interquartile_mean, mean_interval, wilson
+
+        returns = [episode.total_return for episode in done]
+        successes = sum(episode.is_success for episode in done)
+        names = {name: None for episode in done for name in episode.terms}
+        return cls(
+            episodes=len(done),
+            mean_return=fmean(returns),
+            std_return=stdev(returns) if len(returns) > 1 else None,
+            return_interval=mean_interval(returns, bounds),
+            interquartile_mean=interquartile_mean(returns),
+            least_return=min(returns),
+            greatest_return=max(returns),
+            successes=successes,
+            success_rate=successes / len(done),
+            success_interval=wilson(successes, len(done)),
+            mean_length=fmean(episode.length for episode in done),
+            endings=dict(Counter(episode.ended_by or "unknown" for episode in done).most_common()),
+            term_means={name: fmean(episode.terms.get(name, 0.0) for episode in done) for name in names},
+        )
 
     def meets_solved(self, solved: Solved | None) -> bool:
         """Whether these means count as solved; False where the scenario does not say what does."""
         return solved is not None and meets_solved(solved, self.mean_return, self.success_rate)
-
-
-def statistics_of(done: Sequence[Episode], bounds: Interval = UNBOUNDED) -> dict[str, Any]:
-    """The fields of the summary of at least one episode; `bounds` are those of a return."""
-    # scipy is imported here: commands that only read runs work without it.
-    from deepbots_cli.learning.statistics import interquartile_mean, mean_interval, wilson
-
-    returns = [episode.total_return for episode in done]
-    successes = sum(episode.is_success for episode in done)
-    names = {name: None for episode in done for name in episode.terms}
-    return {
-        "episodes": len(done),
-        "mean_return": fmean(returns),
-        "std_return": stdev(returns) if len(returns) > 1 else None,
-        "return_interval": mean_interval(returns, bounds),
-        "interquartile_mean": interquartile_mean(returns),
-        "least_return": min(returns),
-        "greatest_return": max(returns),
-        "successes": successes,
-        "success_rate": successes / len(done),
-        "success_interval": wilson(successes, len(done)),
-        "mean_length": fmean(episode.length for episode in done),
-        "endings": dict(Counter(episode.ended_by or "unknown" for episode in done).most_common()),
-        "term_means": {name: fmean(episode.terms.get(name, 0.0) for episode in done) for name in names},
-    }
 
 
 @dataclass(frozen=True)
@@ -332,9 +327,8 @@ def _bins(done: Sequence[Episode], name: str, bounds: Interval) -> tuple[DrawnBi
     else:
         edges = [len(ordered) * part // BINS for part in range(BINS + 1)]
         parts = [ordered[first:end] for first, end in pairwise(edges)]
-    kept = {entry.name for entry in fields(DrawnBin)}
-    found = [(part, statistics_of(part, bounds)) for part in parts if part]
+    kept = [entry.name for entry in fields(DrawnBin)][2:]
+    found = [(part, Summary.of_episodes(part, bounds)) for part in parts if part]
     return tuple(
-        DrawnBin(part[0].drawn[name], part[-1].drawn[name], **{key: value for key, value in statistics.items() if key in kept})
-        for part, statistics in found
+        DrawnBin(part[0].drawn[name], part[-1].drawn[name], **{key: getattr(summary, key) for key in kept}) for part, summary in found
     )

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import gymnasium as gym
@@ -19,16 +20,17 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import learner, video
 from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch, supervisor_factory
-from deepbots_cli.learning.episodes import UNBOUNDED, DrawnBin, Summary, by_drawn_value, statistics_of
+from deepbots_cli.learning.episodes import UNBOUNDED, DrawnBin, Summary, by_drawn_value
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.run import ModelName, Run, in_parentheses, remark_on_episodes
 from deepbots_cli.learning.sb3.algorithms import torch_settings
-from deepbots_cli.learning.verdict import circumstances, solved_verdict
-from deepbots_cli.program import Program, identity
+from deepbots_cli.learning.verdict import solved_verdict
+from deepbots_cli.program import identity
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import RANDOM, ZERO, named_driver
-from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE, OnEpisode, StopCondition, play_batch, play_episodes
+from deepbots_cli.rollout.episode import OnEpisode
+from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE, StopCondition, play_batch, play_episodes
 from deepbots_cli.rollout.worlds import has_copies
 from deepbots_cli.runtime.spaces import action_space, observation_space
 from deepbots_cli.runtime.streams import derive_seed
@@ -140,15 +142,12 @@ def evaluate(
         UsageError: The numbers make no sense, or the video cannot be written.
         MissingExtraError: A video is wanted and imageio is not installed.
     """
-    known = run if isinstance(run, Run) else Run.open(run)
-    judged = None if scenario is None else api.compile(scenario)
-    program, count, root = _evaluation_settings(known, episodes, seed, judged, case, stage)
+    setting = _Setting(run, episodes, seed, scenario, case, stage, permissions, engine, build)
+    known, program, count, make, engine = setting.run, setting.program, setting.episodes, setting.build, setting.engine or ""
     video_to = None if video_to is None else Path(video_to)
     if video_to is not None:
         video.check_video_path(video_to, force=force)
-    engine = engine or known.engine_for(program)
-    make = build or supervisor_factory(engine, permissions=permissions)
-    seeds = [derive_seed(root, "evaluation", k) for k in range(count)]
+    seeds = [derive_seed(setting.seed, "evaluation", k) for k in range(count)]
     with torch_settings(), ExitStack() as stack:
         done: list[Episode] | None = None
         together = min(count, MAX_BATCH_WORLDS)
@@ -169,8 +168,7 @@ def evaluate(
             world = stack.enter_context(closing(make(program, render_mode="rgb_array")))
             filmed = stack.enter_context(video.recording_video(world, video_to, program.period))
             play_episodes(policy, [filmed], seeds[:1], deterministic=deterministic)
-    where: dict[str, Any] = {"case": case, "stage": stage, "seed": root, "planned": count, "video": video_to}
-    return _result(known, judged, program, model, done, engine=None if build else engine, deterministic=deterministic, **where)
+    return setting.result(model, done, deterministic=deterministic, video=video_to)
 
 
 def evaluate_baselines(
@@ -191,21 +189,17 @@ def evaluate_baselines(
     Arguments and errors are as for `evaluate`. The `model` of a result is `random`, `zero` or `script NAME`. Random actions are sampled
     by the action space, which the seed of each episode seeds.
     """
-    known = run if isinstance(run, Run) else Run.open(run)
-    judged = None if scenario is None else api.compile(scenario)
-    program, count, root = _evaluation_settings(known, episodes, seed, judged, case, stage)
+    setting = _Setting(run, episodes, seed, scenario, case, stage, permissions, engine, build)
     results = []
-    engine = engine or known.engine_for(program)
-    with closing((build or supervisor_factory(engine, permissions=permissions))(program)) as world:
-        scripts = {f"script {script.name}": script.name for script in program.agent.scripts}
+    with closing(setting.build(setting.program)) as world:
+        scripts = {f"script {script.name}": script.name for script in setting.program.agent.scripts}
         for name, driver in {RANDOM: RANDOM, ZERO: ZERO, **scripts}.items():
             done = []
-            for number in range(count):
-                done.append(play(world, named_driver(world, driver), Start.of_evaluation(root, number)))
+            for number in range(setting.episodes):
+                done.append(play(world, named_driver(world, driver), Start.of_evaluation(setting.seed, number)))
                 if on_episode is not None:
-                    on_episode(len(done), count)
-            where: dict[str, Any] = {"case": case, "stage": stage, "seed": root, "planned": count, "deterministic": True, "video": None}
-            results.append(_result(known, judged, program, name, done, engine=None if build else engine, **where))
+                    on_episode(len(done), setting.episodes)
+            results.append(setting.result(name, done))
     return tuple(results)
 
 
@@ -243,87 +237,88 @@ def load_model(run: Run, name: ModelName, world: gym.Env[Any, Any] | None = None
     return found
 
 
-def _require_same_interface(run: Run, program: Program) -> Program:
-    differences = identity.differences(run.program, program)
-    if differences:
-        lines = "\n  ".join(differences)
-        raise RunError(f"{run.path} was trained for another observation, action or messages than {program.name} has:\n  {lines}")
-    return program
+class _Setting:
+    """Where a policy is evaluated, and on which starts.
 
+    Attributes:
+        judged: A scenario in the place of that of the run.
+        program: The case or stage of it that is evaluated in.
+        engine: None for worlds of the caller.
+    """
 
-def _evaluation_settings(
-    run: Run, episodes: int | None, seed: int | None, judged: Compiled | None, case: str | None, stage: str | None
-) -> tuple[Program, int, int]:
-    """The program to evaluate in, the number of episodes, and the root seed."""
-    program = run.program if judged is None else _require_same_interface(run, judged.program)
-    usual = program.evaluation.episodes if case is None else program.case(case).episodes
-    program = program.variant(case, stage)
-    count, root = usual if episodes is None else episodes, run.record.seed if seed is None else seed
-    if count < 1 or root < 0:
-        raise UsageError(f"{count} episodes from seed {root} cannot be evaluated; episodes count from 1, seeds from 0")
-    return program, count, root
+    def __init__(
+        self,
+        run: Run | str | Path,
+        episodes: int | None,
+        seed: int | None,
+        scenario: Compiled | Scenario | str | Path | None,
+        case: str | None,
+        stage: str | None,
+        permissions: Permissions,
+        engine: str | None,
+        build: WorldFactory | None,
+    ) -> None:
+        self.run = run = run if isinstance(run, Run) else Run.open(run)
+        self.judged = None if scenario is None else api.compile(scenario)
+        program = (self.judged or run).program
+        if self.judged is not None and (differences := identity.differences(run.program, program)):
+            lines = "\n  ".join(differences)
+            raise RunError(f"{run.path} was trained for another observation, action or messages than {program.name} has:\n  {lines}")
+        usual = program.evaluation.episodes if case is None else program.case(case).episodes
+        self.program, self.case, self.stage = program.variant(case, stage), case, stage
+        self.episodes, self.seed = usual if episodes is None else episodes, run.record.seed if seed is None else seed
+        if self.episodes < 1 or self.seed < 0:
+            raise UsageError(f"{self.episodes} episodes from seed {self.seed} cannot be evaluated; episodes count from 1, seeds from 0")
+        engine = engine or run.engine_for(self.program)
+        self.engine = None if build else engine
+        self.build = build or supervisor_factory(engine, permissions=permissions)
 
+    def result(self, model: str, done: Sequence[Episode], *, deterministic: bool = True, video: Path | None = None) -> EvaluationResult:
+        """What these episodes come to."""
+        run, program, engine, solved = self.run, self.program, self.engine, self.program.agent.solved
+        low, high = possible_returns(program) if engine else UNBOUNDED  # a world of the caller may pay anything
+        found = Summary.of_episodes(done, (low, high))
+        is_solved, verdict = solved_verdict(solved, found.episodes, found.mean_return, found.success_rate)
+        digest = (self.judged or run).digest
+        elsewhere, overrides = (None, ()) if self.judged is None or digest == run.record.digest else self._elsewhere(self.judged)
+        circumstances = [f"scenario {elsewhere}"] if elsewhere else []
+        if not elsewhere and run.record.digest not in (digest, run.digest):
+            circumstances.append("scenario changed since the training")
+        circumstances += [f"--set {quote(text)}" for text in overrides]
+        circumstances += [f"case {self.case}"] if self.case else []
+        circumstances += [f"stage {self.stage}"] if self.stage else []
+        circumstances += [f"engine {engine}, trained in {run.record.engine}"] if engine not in (None, run.record.engine) else []
+        circumstances += [f"{model} model" if model == "last" else f"actions of {model}"] if model != "best" else []
+        circumstances += ["actions sampled"] if not deterministic else []
+        return EvaluationResult(
+            **vars(found),
+            run=run.path,
+            scenario=program.name,
+            model=model,
+            success_defined=program.defines_success,
+            solved=is_solved,
+            verdict=verdict + in_parentheses((*circumstances, *remark_on_episodes(len(done), self.episodes, None))),
+            circumstances=tuple(circumstances),
+            engine=engine,
+            case=self.case,
+            stage=self.stage,
+            elsewhere=elsewhere,
+            set=overrides,
+            digest=digest,
+            agent=program.agent.name,
+            seed=self.seed,
+            planned=self.episodes,
+            required_episodes=solved.episodes if solved else None,
+            deterministic=deterministic,
+            video=video,
+            notes=(*run.notes(), *identity.timing_differences(run.program, program)),
+            outcomes=tuple(done),
+            return_bounds=(low if low > -math.inf else None, high if high < math.inf else None),
+        )
 
-def _result(
-    run: Run,
-    judged: Compiled | None,
-    program: Program,
-    model: str,
-    done: Sequence[Episode],
-    *,
-    engine: str | None,
-    planned: int,
-    case: str | None,
-    stage: str | None,
-    deterministic: bool,
-    **where: Any,
-) -> EvaluationResult:
-    """What these episodes come to. `judged` is a scenario in the place of that of the run, and `program` its case or stage."""
-    low, high = possible_returns(program) if engine else UNBOUNDED  # a world of the caller may pay anything
-    found = statistics_of(done, (low, high))
-    solved, verdict = solved_verdict(program.agent.solved, found["episodes"], found["mean_return"], found["success_rate"])
-    digest = (judged or run).digest
-    elsewhere, overrides = (None, ()) if judged is None or digest == run.record.digest else _elsewhere(run, judged, engine)
-    differences = circumstances(
-        run,
-        digest,
-        engine=engine,
-        model=model,
-        deterministic=deterministic,
-        elsewhere=elsewhere,
-        overrides=overrides,
-        case=case,
-        stage=stage,
-    )
-    return EvaluationResult(
-        run=run.path,
-        scenario=program.name,
-        model=model,
-        success_defined=program.defines_success,
-        solved=solved,
-        verdict=verdict + in_parentheses((*differences, *remark_on_episodes(len(done), planned, None))),
-        circumstances=differences,
-        engine=engine,
-        case=case,
-        stage=stage,
-        elsewhere=elsewhere,
-        set=overrides,
-        digest=digest,
-        agent=program.agent.name,
-        planned=planned,
-        required_episodes=program.agent.solved.episodes if program.agent.solved else None,
-        deterministic=deterministic,
-        notes=(*run.notes(), *identity.timing_differences(run.program, program)),
-        outcomes=tuple(done),
-        return_bounds=(low if low > -math.inf else None, high if high < math.inf else None),
-        **where,
-        **found,
-    )
-
-
-def _elsewhere(run: Run, judged: Compiled, engine: str | None) -> tuple[str | None, tuple[str, ...]]:
-    """The name of a scenario that replaces that of the run, and the assignments of `--set`, without that of another engine."""
-    own = judged.source.resolve() == (run.path / RESOLVED_NAME).resolve()
-    name = judged.source.name if judged.source.name != RESOLVED_NAME else f"{judged.source.parent.name}/{RESOLVED_NAME}"
-    others = tuple(text for text in judged.overrides if text != f"world.engine={engine}")
-    return None if own else name, others or (judged.overrides if engine == run.record.engine else ())
+    def _elsewhere(self, judged: Compiled) -> tuple[str | None, tuple[str, ...]]:
+        """The name of a scenario that replaces that of the run, and the assignments of `--set`, without that of another engine."""
+        own = judged.source.resolve() == (self.run.path / RESOLVED_NAME).resolve()
+        name = judged.source.name if judged.source.name != RESOLVED_NAME else f"{judged.source.parent.name}/{RESOLVED_NAME}"
+        others = tuple(text for text in judged.overrides if text != f"world.engine={self.engine}")
+        return None if own else name, others or (judged.overrides if self.engine == self.run.record.engine else ())

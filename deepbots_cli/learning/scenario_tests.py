@@ -6,7 +6,7 @@ Episode k of a test starts as episode k of an evaluation with the seed of the te
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import groupby, islice
@@ -21,12 +21,10 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import ExpectedResult, ScenarioTest
 from deepbots_cli.rollout import Driver, Episode, Start, Step, result_of, steps
 from deepbots_cli.rollout.drivers import named_driver, sequence_driver
+from deepbots_cli.rollout.episode import OnEpisode
 
 if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
-
-OnEpisode = Callable[[int, int], None]
-"""Is told after each episode how many are done, and of how many."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The verdict about a run: which of its evaluations everyone quotes, what it was made with, and whether the run solves its task.
+"""The verdict about a run: which of its evaluations everyone quotes, and whether the run solves its task.
 
 `run_verdict` is the one definition of "solved" of `train`, `runs`, `report`, `diagnose` and the card of an exported policy. Nothing is
 compiled, and torch is not imported.
@@ -6,10 +6,8 @@ compiled, and torch is not imported.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from shlex import quote
 
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.episodes import meets_solved
@@ -37,37 +35,6 @@ def solved_verdict(solved: Solved | None, episodes: int, mean_return: float, suc
         reasons.append(f"success rate {success_rate:.1%} where {solved.success_rate:.1%} is required")
     met = meets_solved(solved, mean_return, success_rate)
     return met, f"{'solved' if met else 'not solved'}: {', '.join(reasons)}"
-
-
-def circumstances(
-    run: Run,
-    digest: str,
-    *,
-    engine: str | None,
-    model: str = "best",
-    deterministic: bool = True,
-    elsewhere: str | None = None,
-    overrides: Sequence[str] = (),
-    case: str | None = None,
-    stage: str | None = None,
-) -> tuple[str, ...]:
-    """What an evaluation was made with, as far as it differs from one of the best model in the scenario of the training.
-
-    Args:
-        digest: Of the scenario that it judges.
-        elsewhere: The name of another scenario than that of the run.
-        overrides: The assignments of `--set`.
-    """
-    found = [f"scenario {elsewhere}"] if elsewhere else []
-    if not elsewhere and run.record.digest not in (digest, run.digest):
-        found.append("scenario changed since the training")
-    found += [f"--set {quote(text)}" for text in overrides]
-    found += [f"case {case}"] if case else []
-    found += [f"stage {stage}"] if stage else []
-    found += [f"engine {engine}, trained in {run.record.engine}"] if engine not in (None, run.record.engine) else []
-    found += [f"{model} model" if model == "last" else f"actions of {model}"] if model != "best" else []
-    found += ["actions sampled"] if not deterministic else []
-    return tuple(found)
 
 
 @dataclass(frozen=True)

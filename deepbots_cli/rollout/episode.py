@@ -18,6 +18,9 @@ from deepbots_cli.errors import DeepbotsError
 if TYPE_CHECKING:
     import gymnasium as gym
 
+OnEpisode = Callable[[int, int], None]
+"""Called after each episode with the number of those that are done, and of all."""
+
 
 class Start(NamedTuple):
     """How an episode begins.

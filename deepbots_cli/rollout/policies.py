@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.rollout.episode import Driver, Episode, EpisodeAccumulator, Start, Step, play, steps
+from deepbots_cli.rollout.episode import Driver, Episode, EpisodeAccumulator, OnEpisode, Start, Step, play, steps
 from deepbots_cli.rollout.worlds import Array, BatchEpisodes, has_copies
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
@@ -24,8 +24,6 @@ from deepbots_cli.runtime.streams import derive_seed
 FORWARD_BATCH_SIZE = 8
 """A forward pass of a small policy takes about 0.1 ms for any number of rows up to 16; more worlds than 8 gain little."""
 
-OnEpisode = Callable[[int, int], None]
-"""Is told after each episode how many are done, and of how many."""
 StopCondition = Callable[[Sequence[Episode]], bool]
 """Whether the first episodes of an evaluation are enough."""
 
