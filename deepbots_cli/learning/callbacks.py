@@ -96,10 +96,6 @@ class Evaluator:
         self._world: FailureRecorder | None = None
         self._batch: BatchSupervisor | None = None
 
-    def is_due(self, trained: int, length: float, share: float) -> bool:
-        """Whether another evaluation fits into this share of `trained` steps, if its episodes are of that length."""
-        return self.steps + EVALUATION_EPISODES * length <= share * trained
-
     def run_episodes(
         self,
         model: Learner,
@@ -192,7 +188,9 @@ class TrainingCallback:
         self._reported = time.monotonic()
         self._evaluations = 0
         self._stop_noted = False
-        self._seen = _first_frame(run.program)
+        newest = zip(run.program.agent.numbers, run.program.agent.newest, strict=True)
+        self._seen = {number.full_name: place for number, place in newest if number.clip and not number.is_truth}
+        """Where the newest value of each clipped number stands in an observation; a truth value is always at an end of its range."""
         self._began = time.monotonic(), statistics.steps
 
     def attach(self, learner: Learner, log: TrainingLog) -> None:
@@ -220,12 +218,6 @@ class TrainingCallback:
         self.best = None
         self.statistics.recent.clear()
         self.statistics.final = self.curriculum.is_last
-
-    @property
-    def real_time_factor(self) -> float:
-        """Simulated seconds per second since this process began."""
-        began, steps = self._began
-        return (self.statistics.steps - steps) * self.statistics.period / max(1e-9, time.monotonic() - began)
 
     def progress(self) -> TrainingProgress:
         s = self.statistics
@@ -269,9 +261,10 @@ class TrainingCallback:
         """
         check_finite(self.learner, self.run)
         steps, solved = self.statistics.steps, self.statistics.solved
-        if not self.statistics.full or steps == self._evaluated_at or not self.evaluator.is_due(steps, self.statistics.mean_length, share):
+        fits = self.evaluator.steps + EVALUATION_EPISODES * self.statistics.mean_length <= share * steps
+        if not self.statistics.full or steps == self._evaluated_at or not fits:
             return
-        scenario, stage = self.curriculum.scenario, self.curriculum.name
+        scenario, stage = self.curriculum.scenario_of(self.curriculum.index), self.curriculum.name
         done = self.evaluator.run_episodes(self.learner, scenario, self.interruption, stage=stage)
         ends = self.statistics.solved_at is not None
         if ends and Summary.of_episodes(done).meets_solved(solved) and self.learner.confirms:
@@ -310,7 +303,9 @@ class TrainingCallback:
         """Scalars beside those of the learner, which writes them with its own."""
         self.log.record("rollout/episodes", self.statistics.episodes)
         self.log.record("rollout/simulated_hours", self.statistics.simulated_hours)
-        self.log.record("time/real_time_factor", self.real_time_factor)
+        began, steps = self._began
+        simulated = (self.statistics.steps - steps) * self.statistics.period
+        self.log.record("time/real_time_factor", simulated / max(1e-9, time.monotonic() - began))
         curriculum = self.curriculum
         value = curriculum.value(self.statistics.steps)
         if curriculum.stages:
@@ -344,12 +339,6 @@ class TrainingCallback:
     def on_end(self) -> None:
         self._record_scalars()
         self.log.dump(self.learner.steps)
-
-
-def _first_frame(program: Program) -> dict[str, int]:
-    """Where the newest value of each clipped number stands in an observation, by name; a truth value is always at an end of its range."""
-    newest = zip(program.agent.numbers, program.agent.newest, strict=True)
-    return {number.full_name: place for number, place in newest if number.clip and not number.is_truth}
 
 
 def option_shares(program: Program, actions: npt.NDArray[Any]) -> dict[str, float]:

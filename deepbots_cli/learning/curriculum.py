@@ -78,11 +78,6 @@ class Curriculum:
     def criterion(self) -> Criterion | None:
         return None if self.is_last else self.stages[self.index].until
 
-    @property
-    def scenario(self) -> Program:
-        """The scenario of the present stage."""
-        return self.scenario_of(self.index)
-
     def scenario_of(self, index: int) -> Program:
         """The scenario of a stage; the scenario itself where there are no stages."""
         return self.stages[index].program if self.stages else self._program

@@ -121,7 +121,10 @@ class ProgressReporter(Reporter):
         evaluated = progress.evaluations > self._evaluations and since >= EVALUATION_INTERVAL_S
         if tenth > self._tenth or evaluated or since >= LINE_INTERVAL_S:
             self._tenth, self._evaluations, self._shown = tenth, progress.evaluations, now
-            print(progress_text(progress, speed), file=self._stream, flush=True)
+            values = progress_values(progress, speed)
+            values.pop("episodes", None)
+            found = [text if name in ("speed", "stage", "remaining") else f"{name} {text}" for name, text in values.items()]
+            print(f"{progress.steps:,} of {progress.total_steps:,} steps", *found, sep="  ", file=self._stream, flush=True)
 
     def stop(self) -> None:
         if self._live is not None:
@@ -133,14 +136,6 @@ def reporter(progress: bool | Reporter) -> Reporter:
     if not isinstance(progress, bool):
         return progress
     return ProgressReporter() if progress else Reporter()
-
-
-def progress_text(progress: TrainingProgress, speed: float = 0.0) -> str:
-    """`2,000 of 20,000 steps  success 40 % of 90 %  return 182.4  ...` in one line; `speed` in steps per second."""
-    values = progress_values(progress, speed)
-    values.pop("episodes", None)
-    steps = f"{progress.steps:,} of {progress.total_steps:,} steps"
-    return "  ".join([steps, *(text if name in ("speed", "stage", "remaining") else f"{name} {text}" for name, text in values.items())])
 
 
 def progress_values(progress: TrainingProgress, speed: float) -> dict[str, str]:
