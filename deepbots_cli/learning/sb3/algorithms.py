@@ -27,7 +27,7 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.sb3 import defaults
 from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.task import ActionNoise as NoiseSettings
-from deepbots_cli.program.task import Hindsight, Hyperparameter, Network, Schedule, Training
+from deepbots_cli.program.task import Hyperparameter, Schedule, Training
 from deepbots_cli.scenario.training import ALGORITHMS
 from deepbots_cli.scenario.training import Training as Model
 
@@ -71,7 +71,8 @@ def create(
     kind = training.action_noise or settings.pop("action_noise", None)
     settings.pop("action_noise", None)
     if settings.pop("replay", None) is not None and training.replay is not None:
-        settings |= _hindsight(training.replay)
+        chosen = {"n_sampled_goal": training.replay.goals, "goal_selection_strategy": training.replay.strategy}
+        settings |= {"replay_buffer_class": HerReplayBuffer, "replay_buffer_kwargs": chosen}
     settings |= {h.name: _value(h) for h in training.hyperparameters}
     models: list[BaseAlgorithm] = []
     if kind is not None and isinstance(env.action_space, gym.spaces.Box):
@@ -84,7 +85,11 @@ def create(
             settings.pop(name, None)
     else:
         check_replay(settings, env.observation_space)
-    networks = _networks(training.network, algorithm)
+    layers = list(training.network.hidden)
+    networks: Settings = {
+        "net_arch": {"pi": layers, "vf": layers} if algorithm.on_policy else layers,
+        "activation_fn": _ACTIVATIONS[training.network.activation],
+    }
     memory = settings.pop("lstm", None)
     if memory is not None:
         networks["lstm_hidden_size"] = memory
@@ -146,11 +151,6 @@ def _imported(algorithm: type[Model]) -> type[BaseAlgorithm]:
     except ModuleNotFoundError as error:
         raise MissingExtraError("contrib", f"training with {algorithm.import_path.rpartition(':')[2]}") from error
     return found
-
-
-def _hindsight(replay: Hindsight) -> Settings:
-    kwargs = {"n_sampled_goal": replay.goals, "goal_selection_strategy": replay.strategy}
-    return {"replay_buffer_class": HerReplayBuffer, "replay_buffer_kwargs": kwargs}
 
 
 @contextmanager
@@ -228,12 +228,6 @@ def _entry(name: str) -> type[Model]:
         hint = f" (did you mean {near}?)" if near else ""
         raise UsageError(f"algorithm '{name}' cannot be trained with; the choices are {', '.join(ALGORITHMS)}{hint}")
     return ALGORITHMS[name]
-
-
-def _networks(network: Network, algorithm: type[Model]) -> Settings:
-    layers = list(network.hidden)
-    shape: object = {"pi": layers, "vf": layers} if algorithm.on_policy else layers
-    return {"net_arch": shape, "activation_fn": _ACTIVATIONS[network.activation]}
 
 
 def _value(given: Hyperparameter) -> object:

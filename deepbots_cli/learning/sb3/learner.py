@@ -151,7 +151,8 @@ class StableLearner(Learner):
         masks = {} if action_masks is None else {"action_masks": action_masks}
         with models.overflow_explained():
             actions, state = self.model.predict(observation, state=state, episode_start=episode_start, deterministic=deterministic, **masks)
-            models.check_actions_finite(actions)
+            if not np.isfinite(actions).all():
+                raise ValueError(models.OVERFLOW)
         return actions, state
 
     def recent(self) -> tuple[Any, Array, Array | None]:

@@ -19,7 +19,6 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import is_json_serializable, save_to_zip_file
@@ -35,19 +34,13 @@ _VARIABLES = "pytorch_variables"
 _STORAGES = ("Float", "Double", "Half", "BFloat16", "Long", "Int", "Short", "Char", "Byte", "Bool")
 _PLAIN_GLOBALS = {"collections OrderedDict", "torch._utils _rebuild_tensor_v2", *(f"torch {name}Storage" for name in _STORAGES)}
 _OVERHEAD_BYTES = 8_000_000
-_OVERFLOW = "found invalid values"
+OVERFLOW = "found invalid values"
 """Words of torch, where it refuses the parameters of a distribution."""
 _MAX_MEMBERS = 32
 # What a model cannot be loaded without, and JSON cannot hold; all of it is pickled by reference to Stable-Baselines3, Gymnasium and torch.
 _PICKLED_ENTRIES = ("policy_class", "policy_kwargs", "observation_space", "action_space", "train_freq")
 # Needs an environment to be loaded.
 _HINDSIGHT_ENTRIES = ("replay_buffer_class", "replay_buffer_kwargs")
-
-
-def check_actions_finite(actions: Any) -> None:
-    """Raises: ValueError: An action is not finite, which `overflow_explained` explains."""
-    if not np.isfinite(actions).all():
-        raise ValueError(_OVERFLOW)
 
 
 @contextmanager
@@ -60,7 +53,7 @@ def overflow_explained() -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        if _OVERFLOW not in str(error):
+        if OVERFLOW not in str(error):
             raise
         raise RunError("the policy gives actions that are not finite: its weights are damaged, or the training diverged") from error
 
@@ -94,7 +87,18 @@ def load(path: Path, model: BaseAlgorithm) -> None:
     Raises:
         RunError: The file is missing, damaged, no model of ours, or has other tensors than the model.
     """
-    tensors = read(path, model)
+    size = sum(tensor.numel() * tensor.element_size() for tensor in model.policy.state_dict().values())
+    tensors = _read(path, 4 * size + _OVERHEAD_BYTES)
+    found, wanted = set(tensors), {*_parts(model), _VARIABLES}
+    if found != wanted:
+        _refuse(path, ", ".join(sorted(wanted - found)), ", ".join(sorted(found - wanted)))
+    for name in _parts(model):
+        part = attrgetter(name)(model)
+        if isinstance(part, torch.optim.Optimizer):
+            _check_optimizer(path, name, part, tensors[name])
+        else:
+            _check_tensors(path, name, part.state_dict(), tensors[name])
+    _check_tensors(path, _VARIABLES, dict(_variables(model)), tensors[_VARIABLES])
     for name in _parts(model):
         part, state = attrgetter(name)(model), tensors[name]
         if isinstance(part, torch.optim.Optimizer):
@@ -127,27 +131,6 @@ def initialize(path: Path, model: BaseAlgorithm) -> Initialization:
         raise UsageError(f"no tensor of {path} fits the policy of this scenario")
     model.policy.load_state_dict({name: theirs[name] if name in taken else tensor for name, tensor in ours.items()})
     return Initialization(taken, others)
-
-
-def read(path: Path, model: BaseAlgorithm) -> Tensors:
-    """The tensors of a file that was written for a model like this one.
-
-    Raises:
-        RunError: As for `load`.
-    """
-    size = sum(tensor.numel() * tensor.element_size() for tensor in model.policy.state_dict().values())
-    tensors = _read(path, 4 * size + _OVERHEAD_BYTES)
-    found, wanted = set(tensors), {*_parts(model), _VARIABLES}
-    if found != wanted:
-        _refuse(path, ", ".join(sorted(wanted - found)), ", ".join(sorted(found - wanted)))
-    for name in _parts(model):
-        part = attrgetter(name)(model)
-        if isinstance(part, torch.optim.Optimizer):
-            _check_optimizer(path, name, part, tensors[name])
-        else:
-            _check_tensors(path, name, part.state_dict(), tensors[name])
-    _check_tensors(path, _VARIABLES, dict(_variables(model)), tensors[_VARIABLES])
-    return tensors
 
 
 def _parts(model: BaseAlgorithm) -> list[str]:

@@ -63,15 +63,11 @@ def check(callbacks: Sequence[str], loggers: Sequence[str]) -> None:
     for what, names, table in (("callback", callbacks, CALLBACKS), ("logger", loggers, LOGGERS)):
         for name in names:
             if name not in table:
-                raise UsageError(_unknown(what, name, table))
+                near = nearest_word(name, table)
+                known = f"known are {', '.join(table)}" if table else f"no installed package registers one under '{table.group}'"
+                raise UsageError(f"there is no {what} '{name}'; {known}" + (f" (did you mean {near}?)" if near else ""))
             if names.count(name) > 1:
                 raise UsageError(f"the {what} '{name}' is given twice")
-
-
-def _unknown(what: str, name: str, table: PluginTable[Any]) -> str:
-    near = nearest_word(name, table)
-    known = f"known are {', '.join(table)}" if table else f"no installed package registers one under '{table.group}'"
-    return f"there is no {what} '{name}'; {known}" + (f" (did you mean {near}?)" if near else "")
 
 
 class PluginCallback(BaseCallback):
