@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from statistics import fmean
 from typing import Any, NamedTuple
@@ -165,13 +166,11 @@ def compare(
         runs: Groups, run directories, or folders of run directories; at least two runs.
         episodes: Episodes of each run; by default the number of the scenario.
         seed: Root seed of the starts, the same for all runs.
-        model: `best` or `last`.
         scenario: The scenario to evaluate in; by default that of the first run. Its interface must be that of every run.
-        case: An evaluation case of this scenario.
         own: Whether each run is evaluated in its own scenario instead, such as variants with different observations.
-        permissions: With `code`, terms in Python run.
-        build: Makes a world of the scenario in place of the generated supervisor.
         on_run: Is called after each run.
+
+    The other arguments are those of `evaluate`.
 
     Raises:
         RunError: A folder is not a run, or a run does not fit the scenario.
@@ -183,25 +182,18 @@ def compare(
     opened = [run for group in members for run in group.runs]
     if len(opened) < 2:
         raise UsageError("a comparison needs at least two runs")
-    if own:
-        judged = None
-    elif scenario is None:
-        judged = opened[0].compiled
-    else:
-        judged = api.compile(scenario)
-    count = 0
-    groups = []
-    for group in members:
-        results = []
-        for run in group.runs:
-            found = evaluate(
-                run, episodes=episodes, seed=seed, model=model, scenario=judged, case=case, permissions=permissions, build=build
-            )
-            results.append(found)
-            count += 1
-            if on_run is not None:
-                on_run(count, len(opened))
-        groups.append(GroupResult(group.name, tuple(results), group.waiting, tuple(map(_solved_after, group.runs))))
+    judged = None if own else opened[0].compiled if scenario is None else api.compile(scenario)
+    given: dict[str, Any] = {"episodes": episodes, "seed": seed, "model": model, "case": case, "permissions": permissions, "build": build}
+    results: list[EvaluationResult] = []
+    for run in opened:
+        results.append(evaluate(run, scenario=judged, **given))
+        if on_run is not None:
+            on_run(len(results), len(opened))
+    found = iter(results)
+    groups = [
+        GroupResult(group.name, tuple(islice(found, len(group.runs))), group.waiting, tuple(map(_solved_after, group.runs)))
+        for group in members
+    ]
     differences = tuple(_difference(groups[0], group) for group in groups[1:])
     first = groups[0].evaluations[0]
     notes = _notes(opened, groups, differences, own=own)

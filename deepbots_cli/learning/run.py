@@ -218,29 +218,14 @@ class Run:
     record: RunRecord
     compiled: Compiled
 
-    @property
-    def program(self) -> Program:
-        return self.compiled.program
+    def __post_init__(self) -> None:
+        self.program = self.compiled.program
+        self.monitor, self.tensorboard = self.path / "monitor.csv", self.path / "tensorboard"
+        self.evaluations, self.checkpoints = self.path / "evaluations", self.path / "checkpoints"
 
     @cached_property
     def digest(self) -> str:
         return self.compiled.digest
-
-    @property
-    def checkpoints(self) -> Path:
-        return self.path / "checkpoints"
-
-    @property
-    def monitor(self) -> Path:
-        return self.path / "monitor.csv"
-
-    @property
-    def tensorboard(self) -> Path:
-        return self.path / "tensorboard"
-
-    @property
-    def evaluations(self) -> Path:
-        return self.path / "evaluations"
 
     def model(self, name: str, agent: str = ONLY_AGENT) -> Path:
         return self.path / "models" / agent / f"{name}.zip"
