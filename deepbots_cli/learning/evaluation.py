@@ -226,12 +226,11 @@ def load_model(run: Run, name: ModelName, world: gym.Env[Any, Any] | None = None
     training = run.program.agent.training
     if training is None:
         raise RunError(f"{run.path} holds a scenario without a 'train' section")
-    agent = None if world is None else next(iter(world.get_wrapper_attr("agents").values())) if has_copies(world) else world
-    spaces = (
-        (observation_space(run.program.agent), action_space(run.program.agent))
-        if agent is None
-        else (agent.observation_space, agent.action_space)
-    )
+    if world is None:
+        spaces = observation_space(run.program.agent), action_space(run.program.agent)
+    else:
+        agent = next(iter(world.get_wrapper_attr("agents").values())) if has_copies(world) else world
+        spaces = agent.observation_space, agent.action_space
     found = learner.create(Setup(training, *spaces))
     found.load(run.model(name))
     return found

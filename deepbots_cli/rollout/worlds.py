@@ -355,8 +355,13 @@ class BatchWorlds(Worlds):
         for world in range(self.rows):
             self._on_step()
             if world in ended:
-                endings.append(self._close(world, *ended[world]))
-                infos[world] = ended[world][1].infos[ended[world][0]]
+                place, outcome, episodes = ended[world]
+                last, info = outcome.final_observations, outcome.infos[place]
+                episode = episodes.close(world, info)
+                self._on_episode(world, episode)
+                seen = {key: part[place] for key, part in last.items()} if isinstance(last, dict) else last[place]
+                endings.append(Ending(world, episode, seen, not outcome.terminated[world]))
+                infos[world] = info
                 seed = self._next_seed(world)
                 begun.setdefault(self.stages[world], []).append((world, seed))
         for stage, beginning in begun.items():
@@ -388,14 +393,6 @@ class BatchWorlds(Worlds):
             worlds.begin([world for world, _ in beginning], [seed for _, seed in beginning])
         for world, _ in beginning:
             self.drawn[world] = worlds.singles[world].drawn()
-
-    def _close(self, world: int, place: int, outcome: BatchStep, episodes: BatchEpisodes) -> Ending:
-        """The end of an episode, which is reported."""
-        last = outcome.final_observations
-        episode = episodes.close(world, outcome.infos[place])
-        self._on_episode(world, episode)
-        seen = {key: part[place] for key, part in last.items()} if isinstance(last, dict) else last[place]
-        return Ending(world, episode, seen, not outcome.terminated[world])
 
     def histories(self) -> list[EpisodeHistory]:
         running = {stage: episodes.batch.snapshot() for stage, episodes in self._batches.items()}

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import traceback
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -81,10 +82,8 @@ class PluginCallback(BaseCallback):
         self._callback = _made("callback", name, CALLBACKS[name], BaseCallback)
 
     def _call(self, function: Callable[..., R], *arguments: Any) -> R:
-        try:
+        with _failure_explained(f"the callback '{self.name}' failed after {self.model.num_timesteps:,} steps"):
             return function(*arguments)
-        except Exception as error:
-            raise _failed(f"the callback '{self.name}' failed after {self.model.num_timesteps:,} steps", error) from error
 
     def _init_callback(self) -> None:
         self._call(self._callback.init_callback, self.model)
@@ -118,30 +117,29 @@ class PluginLogger(KVWriter):
         self._writer = _made("logger", name, partial(LOGGERS[name], run), KVWriter)
 
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
-        try:
+        with _failure_explained(f"the logger '{self._name}' failed after {step:,} steps"):
             self._writer.write(dict(key_values), dict(key_excluded), step)
-        except Exception as error:
-            raise _failed(f"the logger '{self._name}' failed after {step:,} steps", error) from error
 
     def close(self) -> None:
-        try:
+        with _failure_explained(f"the logger '{self._name}' failed when it was closed"):
             self._writer.close()
-        except Exception as error:
-            raise _failed(f"the logger '{self._name}' failed when it was closed", error) from error
 
 
 def _made(what: str, name: str, make: Callable[[], T], kind: type) -> T:
-    try:
+    with _failure_explained(f"the {what} '{name}' cannot be made"):
         found = make()
-    except Exception as error:
-        raise _failed(f"the {what} '{name}' cannot be made", error) from error
     if not isinstance(found, kind):
         raise PluginError(f"the {what} '{name}' is a {type(found).__name__}, and not a {kind.__name__} of Stable-Baselines3")
     return found
 
 
-def _failed(sentence: str, error: Exception) -> PluginError:
-    """The error of a plug-in in a sentence, with the line that raised it."""
-    frame = traceback.extract_tb(error.__traceback__)[-1]
-    reason = " ".join(str(error).split())[:200]
-    return PluginError(f"{sentence}: {type(error).__name__}{f': {reason}' if reason else ''} ({frame.filename}:{frame.lineno})")
+@contextmanager
+def _failure_explained(sentence: str) -> Iterator[None]:
+    """Within, an error of a plug-in becomes a sentence, with the line that raised it."""
+    try:
+        yield
+    except Exception as error:
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        reason = " ".join(str(error).split())[:200]
+        text = f"{sentence}: {type(error).__name__}{f': {reason}' if reason else ''} ({frame.filename}:{frame.lineno})"
+        raise PluginError(text) from error
