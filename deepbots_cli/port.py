@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, ParamSpec, Protocol, TypeVar
+from typing import TYPE_CHECKING, Literal, NamedTuple, ParamSpec, Protocol, TypeVar
 
 from deepbots_cli.frames import Frame, Quaternion, Triple
 
@@ -48,6 +48,8 @@ VelocityReader = Callable[[], tuple[Triple, Triple]]
 Motion = tuple[tuple[Triple, Quaternion], tuple[Triple, Triple]]
 MotionReader = Callable[[], Motion]
 """The results of a `PoseReader` and a `VelocityReader`, read together."""
+Gain = Sequence[float] | None
+"""Of a spring, one per joint; None where a motor is no spring, or does not damp."""
 MotorWriter = Callable[[Sequence[float]], object]
 """Sets one target per joint, in force until the next call; after a reset motors exert nothing until written.
 
@@ -105,10 +107,70 @@ class View:
     samples: int = 2
 
 
-class Engine(Protocol):
-    """A physics engine that holds one world, for one environment."""
+class Bindable(Protocol):
+    """What readers and writers are bound to when an environment is made: one world, or many of one model.
+
+    In many worlds a column stands in the place of each number: an array with one number per world. A column that was read stays as it is.
+    """
 
     name: str
+
+    @property
+    def gravity(self) -> Triple:
+        """Gravity of the present episode, in m/s^2, world frame."""
+
+    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
+        """Whether `one` touched one of `others` in any engine step of the last `step`; false after a reset.
+
+        `others` None stands for all bodies besides its own. `ground` says whether plane and terrain count among them.
+        """
+
+    def contact_force(self, one: Part) -> ForceReader:
+        """The sum of normal forces (N) on `one` from everything that it touches, in the last engine step."""
+
+    def clearance(self, one: Part, other: Part) -> ClearanceReader:
+        """The distance between two surfaces, m: 0 where they touch, and infinite to a body that is absent."""
+
+    def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:
+        """Rays along the x axis of frames in the frame of a link: how far (m) each is free, at most `reach`.
+
+        Its own body is not seen, nor what is not solid.
+        """
+
+    def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader: ...
+
+    def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader: ...
+
+    def pose(self, body: str, link: str | None = None) -> PoseReader:
+        """Pose of a link, or of the root link of a robot or object."""
+
+    def velocity(self, body: str, link: str | None = None) -> VelocityReader: ...
+
+    def motion(self, body: str, link: str | None = None) -> MotionReader:
+        """Pose and velocity in one call, which costs half of two where a link is not the root."""
+
+    def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
+        """Drive joints towards target velocities (rad/s or m/s) with at most `max_torque` (N m or N)."""
+
+    def position_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain) -> MotorWriter:
+        """Drive joints towards target positions (rad or m).
+
+        With stiffness (N m/rad or N/m) and damping (N m s/rad or N s/m), one per joint, the torque is
+        `stiffness * (target - position) - damping * velocity`, limited, renewed in every engine step, and
+        None for `damping` is 0; without stiffness the engine's own servo closes all but 1/e of its error in
+        `SERVO_TIME`, as far as the limit allows, and `damping` means nothing.
+        """
+
+    def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
+        """Exert target torques (N m or N), limited, in every engine step until the next call."""
+
+    def close(self) -> None:
+        """Release the world; may be called twice."""
+
+
+class Engine(Bindable, Protocol):
+    """A physics engine that holds one world, for one environment."""
+
     capabilities: frozenset[Capability]
 
     def reset(self) -> None:
@@ -147,10 +209,6 @@ class Engine(Protocol):
             EngineError: The engine cannot set it, or the world has no such body, link or joint.
         """
 
-    @property
-    def gravity(self) -> Triple:
-        """Gravity of the present episode, in m/s^2, world frame."""
-
     # What acts in every engine step; bound at build, called in the order of binding
 
     def before_substep(self, act: Callable[[], object]) -> None:
@@ -158,24 +216,6 @@ class Engine(Protocol):
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
         """Pushes a link at its origin, in the next engine step only; the axes are those of the world or of the link."""
-
-    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
-        """Whether `one` touched one of `others` in any engine step of the last `step`; false after a reset.
-
-        `others` None stands for all bodies besides its own. `ground` says whether plane and terrain count among them.
-        """
-
-    def contact_force(self, one: Part) -> ForceReader:
-        """The sum of normal forces (N) on `one` from everything that it touches, in the last engine step."""
-
-    def clearance(self, one: Part, other: Part) -> ClearanceReader:
-        """The distance between two surfaces, m: 0 where they touch, and infinite to a body that is absent."""
-
-    def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:
-        """Rays along the x axis of frames in the frame of a link: how far (m) each is free, at most `reach`.
-
-        Its own body is not seen, nor what is not solid.
-        """
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
         """Looks along the x axis of `mount`, z up; `fov` is the vertical angle in rad.
@@ -231,49 +271,12 @@ class Engine(Protocol):
             EngineError: A figure is not finite; names the body.
         """
 
-    def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader: ...
-
-    def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader: ...
-
-    def pose(self, body: str, link: str | None = None) -> PoseReader:
-        """Pose of a link, or of the root link of a robot or object."""
-
-    def velocity(self, body: str, link: str | None = None) -> VelocityReader: ...
-
-    def motion(self, body: str, link: str | None = None) -> MotionReader:
-        """Pose and velocity in one call, which costs half of two where a link is not the root."""
-
-    def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        """Drive joints towards target velocities (rad/s or m/s) with at most `max_torque` (N m or N)."""
-
-    def position_motor(
-        self,
-        robot: str,
-        joints: Sequence[str],
-        max_torque: Sequence[float],
-        stiffness: Sequence[float] | None,
-        damping: Sequence[float] | None,
-    ) -> MotorWriter:
-        """Drive joints towards target positions (rad or m).
-
-        With stiffness (N m/rad or N/m) and damping (N m s/rad or N s/m), one per joint, the torque is
-        `stiffness * (target - position) - damping * velocity`, limited, renewed in every engine step, and
-        None for `damping` is 0; without stiffness the engine's own servo closes all but 1/e of its error in
-        `SERVO_TIME`, as far as the limit allows, and `damping` means nothing.
-        """
-
-    def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        """Exert target torques (N m or N), limited, in every engine step until the next call."""
-
     def render(self, view: View) -> Image:
         """A picture of the world: uint8, shape (height, width, 3).
 
         Raises:
             EngineError: The engine cannot draw (no "rendering" among its capabilities).
         """
-
-    def close(self) -> None:
-        """Release the world; may be called twice."""
 
 
 class EngineProxy:
@@ -384,14 +387,7 @@ class EngineProxy:
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return self.engine.velocity_motor(self.body(robot), joints, max_torque)
 
-    def position_motor(
-        self,
-        robot: str,
-        joints: Sequence[str],
-        max_torque: Sequence[float],
-        stiffness: Sequence[float] | None,
-        damping: Sequence[float] | None,
-    ) -> MotorWriter:
+    def position_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain) -> MotorWriter:
         return self.engine.position_motor(self.body(robot), joints, max_torque, stiffness, damping)
 
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
@@ -404,22 +400,13 @@ class EngineProxy:
         """Nothing: whoever made the other engine closes it."""
 
 
-class BatchEngine(Protocol):
-    """An engine that holds many worlds of one model and steps them together.
+class BatchEngine(Bindable, Protocol):
+    """An engine that holds many worlds of one model and steps them together; `gravity` is that of the model, which episodes may change."""
 
-    Readers and writers are those of `Engine`, with a column in the place of each number: an array with one number per world. A column that
-    was read stays as it is.
-    """
-
-    name: str
     members: Sequence[Engine]
     """An engine per world, which begins the episodes of its world and serves rare readers."""
     write_mask: NDArray[np.bool_] | None
     """The worlds that motors are written in; None for all."""
-
-    @property
-    def gravity(self) -> Triple:
-        """Where no episode sets another."""
 
     def step(self, substeps: int, running: NDArray[np.bool_] | None = None) -> None:
         """Advance all worlds, or only those that are `running`."""
@@ -429,36 +416,6 @@ class BatchEngine(Protocol):
 
     def non_finite_worlds(self) -> NDArray[np.intp]:
         """The numbers of the worlds whose state is not finite."""
-
-    def joint_states(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]: ...
-
-    def joint_torques(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]: ...
-
-    def pose(self, body: str, link: str | None = None) -> Callable[[], Any]: ...
-
-    def velocity(self, body: str, link: str | None = None) -> Callable[[], Any]: ...
-
-    def motion(self, body: str, link: str | None = None) -> Callable[[], Any]: ...
-
-    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> Callable[[], NDArray[np.bool_]]: ...
-
-    def contact_force(self, one: Part) -> Callable[[], NDArray[np.float64]]: ...
-
-    def clearance(self, one: Part, other: Part) -> Callable[[], NDArray[np.float64]]: ...
-
-    def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> Callable[[], NDArray[np.float64]]: ...
-
-    def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> Callable[[Any], object]: ...
-
-    def position_motor(
-        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], *gains: Sequence[float] | None
-    ) -> Callable[[Any], object]:
-        """`gains` are stiffness and damping."""
-
-    def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> Callable[[Any], object]: ...
-
-    def close(self) -> None:
-        """Release all worlds."""
 
 
 class EngineFactory(Protocol):

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from deepbots_cli.frames import Frame, Triple
-    from deepbots_cli.port import ContactReader, Engine, ForceReader, MotorWriter, P, Part, Pusher, R, TorqueReader
+    from deepbots_cli.port import ContactReader, Engine, ForceReader, Gain, MotorWriter, P, Part, Pusher, R, TorqueReader
     from deepbots_cli.program.world import WorldModel
 
     Column = NDArray[Any]
@@ -130,20 +130,13 @@ class BatchMember(EngineProxy):
         return lambda: cast("list[float]", read()[:, index].tolist())
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        return self._batch.motor("velocity", robot, joints, max_torque, self._index).writer(self._index)
+        return self._batch.motor("velocity", robot, joints, max_torque, world=self._index).writer(self._index)
 
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        return self._batch.motor("torque", robot, joints, max_torque, self._index).writer(self._index)
+        return self._batch.motor("torque", robot, joints, max_torque, world=self._index).writer(self._index)
 
-    def position_motor(
-        self,
-        robot: str,
-        joints: Sequence[str],
-        max_torque: Sequence[float],
-        stiffness: Sequence[float] | None,
-        damping: Sequence[float] | None,
-    ) -> MotorWriter:
-        return self._batch.motor("position", robot, joints, max_torque, self._index, stiffness, damping).writer(self._index)
+    def position_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain) -> MotorWriter:
+        return self._batch.motor("position", robot, joints, max_torque, stiffness, damping, world=self._index).writer(self._index)
 
 
 class MuJoCoBatch:
@@ -579,20 +572,14 @@ class MuJoCoBatch:
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return self.motor("torque", robot, joints, max_torque)
 
-    def position_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float], *gains: Sequence[float] | None) -> MotorWriter:
-        return self.motor("position", robot, joints, max_torque, None, *gains)
+    def position_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain) -> MotorWriter:
+        return self.motor("position", robot, joints, max_torque, stiffness, damping)
 
     def motor(
-        self,
-        kind: Literal["velocity", "torque", "position"],
-        robot: str,
-        joints: Sequence[str],
-        max_torque: Sequence[float],
-        world: int | None = None,
-        stiffness: Sequence[float] | None = None,
-        damping: Sequence[float] | None = None,
+        self, kind: str, robot: str, joints: Sequence[str], limits: Sequence[float], *gains: Gain, world: int | None = None
     ) -> BatchMotor:
         """The motor of this kind on the same joints of all worlds, with these limits and gains in one of them or in all."""
+        stiffness, damping = gains or (None, None)
         numbers = self.single._joints(robot, joints)
         key = kind, numbers, stiffness is None
         if key not in self.motors:
@@ -604,7 +591,7 @@ class MuJoCoBatch:
                     made.rivals.append(other)
                     other.rivals.append(made)
             self.motors[key] = made
-        self.motors[key].bind(slice(None) if world is None else slice(world, world + 1), max_torque, stiffness, damping)
+        self.motors[key].bind(slice(None) if world is None else slice(world, world + 1), limits, stiffness, damping)
         return self.motors[key]
 
 

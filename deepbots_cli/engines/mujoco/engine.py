@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         ClearanceReader,
         ContactReader,
         ForceReader,
+        Gain,
         Image,
         JointReader,
         Kinematics,
@@ -170,14 +171,7 @@ class MuJoCoEngine:
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return self._motor(robot, joints, max_torque).torque_writer()
 
-    def position_motor(
-        self,
-        robot: str,
-        joints: Sequence[str],
-        max_torque: Sequence[float],
-        stiffness: Sequence[float] | None,
-        damping: Sequence[float] | None,
-    ) -> MotorWriter:
+    def position_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain) -> MotorWriter:
         motor = self._motor(robot, joints, max_torque)
         return motor.servo_writer() if stiffness is None else motor.spring_writer(stiffness, damping)
 

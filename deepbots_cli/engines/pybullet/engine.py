@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         ClearanceReader,
         ContactReader,
         ForceReader,
+        Gain,
         Image,
         JointReader,
         Kinematics,
@@ -298,14 +299,7 @@ class PyBulletEngine:
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return motors.torque_motor(self._client, *self._joints(robot, joints), max_torque)
 
-    def position_motor(
-        self,
-        robot: str,
-        joints: Sequence[str],
-        max_torque: Sequence[float],
-        stiffness: Sequence[float] | None,
-        damping: Sequence[float] | None,
-    ) -> MotorWriter:
+    def position_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain) -> MotorWriter:
         body, indices = self._joints(robot, joints)
         if stiffness is None:
             return motors.position_motor(self._client, body, indices, max_torque, self._timestep)
