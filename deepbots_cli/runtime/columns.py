@@ -11,7 +11,6 @@ import operator
 from collections.abc import Callable, Iterable, Sequence
 from functools import reduce
 from itertools import repeat
-from math import pi, tau
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Column = NDArray[Any]
-    Step = Callable[..., tuple[Any, Any]]
 
 
 def pick(table: dict[int, Any], chosen: Any) -> Any:
@@ -36,14 +34,6 @@ def clamp(x: Any, low: Any, high: Any) -> Any:
 
 def clip(value: Any) -> Any:
     return np.minimum(np.maximum(value, -1.0), 1.0)
-
-
-def wrap_angle(angle: Any) -> Any:
-    return pi - (pi - angle) % tau
-
-
-def total(values: Iterable[Any]) -> Any:
-    return reduce(operator.add, values)
 
 
 def minimum(*values: Any) -> Any:
@@ -109,97 +99,20 @@ def scale_freely(value: Any, low: float, high: float) -> Any:
     return (value - (high + low) / 2) * (1 / ((high - low) / 2))
 
 
-# Poses
-
-
-def distance(pose: Any, other: Any) -> Any:
-    return hypot(*(b - a for a, b in zip(pose[0], other[0], strict=True)))
-
-
-def ground_distance(pose: Any, other: Any) -> Any:
-    return hypot(other[0][0] - pose[0][0], other[0][1] - pose[0][1])
-
-
-def bearing(pose: Any, other: Any) -> Any:
-    ahead_x, ahead_y = _ahead(pose[1])
-    dx, dy = other[0][0] - pose[0][0], other[0][1] - pose[0][1]
-    return atan2(ahead_x * dy - ahead_y * dx, ahead_x * dx + ahead_y * dy)
-
-
-def roll(pose: Any) -> Any:
-    x, y, z, w = pose[1]
-    return atan2(2.0 * (z * y + x * w), 1.0 - 2.0 * (x * x + y * y))
-
-
-def pitch(pose: Any) -> Any:
-    x, y, z, w = pose[1]
-    return atan2(-(2.0 * (z * x - y * w)), hypot(*_ahead(pose[1])))
-
-
-def yaw(pose: Any) -> Any:
-    ahead_x, ahead_y = _ahead(pose[1])
-    return atan2(ahead_y, ahead_x)
-
-
-def tilt(pose: Any) -> Any:
-    x, y, z, w = pose[1]
-    return 2.0 * atan2(hypot(x, y), hypot(z, w))
-
-
-def _ahead(turn: Any) -> tuple[Any, Any]:
-    x, y, z, w = turn
-    return 1.0 - 2.0 * (y * y + z * z), 2.0 * (y * x + z * w)
-
-
-to_body_frame = formulas.to_body_frame
+distance, ground_distance, bearing, roll, pitch, yaw, tilt = formulas.pose_functions(atan2, hypot)
+to_body_frame, total, wrap_angle = formulas.to_body_frame, formulas.total, formulas.wrap_angle
 
 # Memories
 
 
-def _delta(kept: Column, _: float, x: Any, start: Any = None) -> tuple[Any, Any]:
-    return x - kept, x
-
-
-def _previous(kept: Column, _: float, x: Any, start: Any = None) -> tuple[Any, Any]:
-    return kept, x
-
-
-def _kept(kept: Any) -> tuple[Any, Any]:
-    """A function whose value is what it remembers."""
-    return kept, kept
-
-
-_MEMORIES: dict[type[formulas.Memory], Step] = {
-    formulas.Delta: _delta,
-    formulas.Previous: _previous,
-    formulas.RunningMax: lambda kept, _, x: _kept(np.maximum(kept, x)),
-    formulas.RunningMin: lambda kept, _, x: _kept(np.minimum(kept, x)),
-    formulas.Hold: lambda kept, _, x, condition: _kept(np.where(condition, x, kept)),
-    formulas.LowPass: lambda kept, step, x, tau: _kept(kept + (x - kept) * (step / (tau + step))),
-    formulas.Integral: lambda kept, step, x: _kept(kept + x * step),
-    formulas.Accumulate: lambda kept, _, more, low, high, start: _kept(np.minimum(np.maximum(kept + more, low), high)),
-    formulas.Duration: lambda kept, step, condition: _kept(np.where(condition, kept + step, 0.0)),
-    formulas.RisingEdge: lambda kept, _, condition: (np.logical_and(condition, np.logical_not(kept)), condition),
+_KEPT: dict[type[formulas.Memory], Callable[..., Any]] = {
+    formulas.RunningMax: lambda kept, _, x: np.maximum(kept, x),
+    formulas.RunningMin: lambda kept, _, x: np.minimum(kept, x),
+    formulas.Hold: lambda kept, _, x, condition: np.where(condition, x, kept),
+    formulas.Accumulate: lambda kept, _, more, low, high, start: np.minimum(np.maximum(kept + more, low), high),
+    formulas.Duration: lambda kept, step, condition: np.where(condition, kept + step, 0.0),
 }
-"""The `advance` of each memory: from what is kept and the timestep to the value and what is kept then."""
-
-
-def _start(x: Any, start: Any = None) -> Any:
-    return x if start is None else start
-
-
-def _first(x: Any, *_: Any) -> Any:
-    return x
-
-
-_STARTS: dict[type[formulas.Memory], Callable[..., Any]] = {
-    formulas.Delta: _start,
-    formulas.Previous: _start,
-    formulas.Integral: lambda x: 0.0,
-    formulas.Accumulate: lambda more, low, high, start: start,
-    formulas.Duration: lambda condition: 0.0,
-}
-"""What `begin` of each memory keeps; the others keep their first argument."""
+"""What memories that choose between numbers keep and give; all others compute with columns as with numbers."""
 
 
 class BatchMemory:
@@ -209,25 +122,14 @@ class BatchMemory:
         """`chosen` gives the worlds in which the memory is updated, as truth values; None for all."""
         self._singles, first, self._chosen = singles, singles[0], chosen
         self._vector = isinstance(first, formulas.Memories | formulas.VectorMemory)
-        part = first.parts[0] if isinstance(first, formulas.Memories) else first
-        kind = part.component if isinstance(part, formulas.VectorMemory) else type(part)
-        count = 1
-        if isinstance(first, formulas.Memories):
-            count = len(first.parts)
-        elif isinstance(first, formulas.VectorMemory):
-            count = first.count
-        self._advance, self._timestep = _MEMORIES[kind], part.timestep
-        self._start: Callable[..., Any] = _STARTS.get(kind, _first)
+        kind, count = (first.component, first.count) if isinstance(first, formulas.Memories | formulas.VectorMemory) else (type(first), 1)
+        self._law, self._choose = kind(first.timestep), _KEPT.get(kind)
         self._kept: Column = np.zeros((count, len(singles)))
         self._waiting: Column | None = None
         """The worlds without a message so far, where the memory begins with the first one; None where there are none."""
 
     def load(self, world: int) -> None:
-        single = self._singles[world]
-        if isinstance(single, formulas.Memories):
-            kept: Sequence[Any] = [part.kept for part in single.parts]
-        else:
-            kept = single.kept if self._vector else [single.kept]
+        kept = self._singles[world].kept if self._vector else [self._singles[world].kept]
         waits = kept is None or kept[0] is None
         if waits or self._waiting is not None:
             self._waiting = np.zeros(len(self._singles), bool) if self._waiting is None else self._waiting
@@ -242,13 +144,17 @@ class BatchMemory:
         """The value in this timestep; vectors where the function has one memory per component."""
         count, worlds = self._kept.shape
         parts = [_stacked(argument, count, worlds) if self._vector else np.asarray(argument) for argument in arguments]
-        chosen, before = self._chosen(), self._kept
+        law, chosen = self._law, self._chosen()
+        before = self._kept
         if self._waiting is not None:
-            before = np.where(self._waiting, self._start(*parts), before)
+            law.begin(*parts)
+            before = np.where(self._waiting, law.kept, before)
             waiting = None if chosen is None else self._waiting & ~chosen
             self._waiting = waiting if waiting is not None and waiting.any() else None
-        value, kept = self._advance(before, self._timestep, *parts)
-        self._kept = np.broadcast_to(kept if chosen is None else np.where(chosen, kept, self._kept), (count, worlds)).copy()
+        law.kept = before if self._choose is None else self._choose(before, law.timestep, *parts)
+        value = law.advance(*parts) if self._choose is None else law.kept
+        kept = law.kept if chosen is None else np.where(chosen, law.kept, self._kept)
+        self._kept = np.broadcast_to(kept, (count, worlds)).copy()
         return value if self._vector else np.broadcast_to(value, (count, worlds))[0]
 
 

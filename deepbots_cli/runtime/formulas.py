@@ -6,13 +6,14 @@ language means is its entry in `expressions.functions`; the formulas here comput
 
 from __future__ import annotations
 
+import math
 import operator
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from functools import reduce
 from importlib import import_module
-from math import atan2, hypot, pi, tau
+from math import pi, tau
 from numbers import Real
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -93,49 +94,51 @@ def clip(value: float) -> float:
 # Poses
 
 
-def distance(pose: Frame, other: Frame) -> float:
-    """The distance (m) between two origins."""
-    (x, y, z), (to_x, to_y, to_z) = pose[0], other[0]
-    return hypot(to_x - x, to_y - y, to_z - z)
+def pose_functions(atan2: Callable[..., Any], hypot: Callable[..., Any]) -> tuple[Callable[..., Any], ...]:
+    """Distance, distance in the plane, bearing, roll, pitch, yaw and tilt, of numbers or of columns by the functions given."""
+
+    def distance(pose: Frame, other: Frame) -> Any:
+        """The distance (m) between two origins."""
+        (x, y, z), (to_x, to_y, to_z) = pose[0], other[0]
+        return hypot(to_x - x, to_y - y, to_z - z)
+
+    def ground_distance(pose: Frame, other: Frame) -> Any:
+        """The distance (m) between two origins in the plane."""
+        (x, y, _), (to_x, to_y, _) = pose[0], other[0]
+        return hypot(to_x - x, to_y - y)
+
+    def bearing(pose: Frame, other: Frame) -> Any:
+        """The horizontal angle (rad) from straight ahead to the other origin; left is positive."""
+        (x, y, _), (to_x, to_y, _) = pose[0], other[0]
+        ahead_x, ahead_y = _ahead(pose[1])
+        dx, dy = to_x - x, to_y - y
+        return atan2(ahead_x * dy - ahead_y * dx, ahead_x * dx + ahead_y * dy)
+
+    def roll(pose: Frame) -> Any:
+        """The turn about the forward axis (rad)."""
+        x, y, z, w = pose[1]
+        return atan2(2.0 * (z * y + x * w), 1.0 - 2.0 * (x * x + y * y))
+
+    def pitch(pose: Frame) -> Any:
+        """The turn about the sideways axis (rad); nose down is positive."""
+        x, y, z, w = pose[1]
+        ahead_x, ahead_y = _ahead(pose[1])
+        return atan2(-(2.0 * (z * x - y * w)), hypot(ahead_x, ahead_y))
+
+    def yaw(pose: Frame) -> Any:
+        """The turn about the vertical (rad); left is positive."""
+        ahead_x, ahead_y = _ahead(pose[1])
+        return atan2(ahead_y, ahead_x)
+
+    def tilt(pose: Frame) -> Any:
+        """The angle (rad) between the link's own vertical and that of the world."""
+        x, y, z, w = pose[1]
+        return 2.0 * atan2(hypot(x, y), hypot(z, w))
+
+    return distance, ground_distance, bearing, roll, pitch, yaw, tilt
 
 
-def ground_distance(pose: Frame, other: Frame) -> float:
-    """The distance (m) between two origins in the plane."""
-    (x, y, _), (to_x, to_y, _) = pose[0], other[0]
-    return hypot(to_x - x, to_y - y)
-
-
-def bearing(pose: Frame, other: Frame) -> float:
-    """The horizontal angle (rad) from straight ahead to the other origin; left is positive."""
-    (x, y, _), (to_x, to_y, _) = pose[0], other[0]
-    ahead_x, ahead_y = _ahead(pose[1])
-    dx, dy = to_x - x, to_y - y
-    return atan2(ahead_x * dy - ahead_y * dx, ahead_x * dx + ahead_y * dy)
-
-
-def roll(pose: Frame) -> float:
-    """The turn about the forward axis (rad)."""
-    x, y, z, w = pose[1]
-    return atan2(2.0 * (z * y + x * w), 1.0 - 2.0 * (x * x + y * y))
-
-
-def pitch(pose: Frame) -> float:
-    """The turn about the sideways axis (rad); nose down is positive."""
-    x, y, z, w = pose[1]
-    ahead_x, ahead_y = _ahead(pose[1])
-    return atan2(-(2.0 * (z * x - y * w)), hypot(ahead_x, ahead_y))
-
-
-def yaw(pose: Frame) -> float:
-    """The turn about the vertical (rad); left is positive."""
-    ahead_x, ahead_y = _ahead(pose[1])
-    return atan2(ahead_y, ahead_x)
-
-
-def tilt(pose: Frame) -> float:
-    """The angle (rad) between the link's own vertical and that of the world."""
-    x, y, z, w = pose[1]
-    return 2.0 * atan2(hypot(x, y), hypot(z, w))
+distance, ground_distance, bearing, roll, pitch, yaw, tilt = pose_functions(math.atan2, math.hypot)
 
 
 def to_body_frame(pose: Frame, vector: Sequence[float]) -> Triple:
@@ -199,6 +202,7 @@ class Memories:
     """One memory for each component of a vector; `update` takes and gives vectors."""
 
     def __init__(self, kind: type[Memory], count: int, timestep: float, *, on_message: bool = False) -> None:
+        self.component, self.count, self.timestep = kind, count, timestep
         self.parts = [kind(timestep, on_message=on_message) for _ in range(count)]
         self._advance = [memory.advance for memory in self.parts]
         self.reset()
@@ -208,6 +212,11 @@ class Memories:
         for memory in self.parts:
             memory.reset()
         self._update: list[Callable[..., Any]] = [memory.first_update for memory in self.parts]
+
+    @property
+    def kept(self) -> list[Any]:
+        """What each of them keeps."""
+        return [memory.kept for memory in self.parts]
 
     def update(self, *arguments: Iterable[Any]) -> list[Any]:
         """The value of each component in this timestep; one vector per argument that the function has in the language."""
@@ -224,11 +233,11 @@ def memory_of_vector(kind: type[Memory], count: int, timestep: float, *, on_mess
 class Delta(Memory):
     """The change since the previous timestep; 0 at a reset."""
 
-    def begin(self, x: float, start: float | None = None) -> Any:
+    def begin(self, x: Any, start: Any = None) -> Any:
         self.kept = x if start is None else start
         return 0.0
 
-    def advance(self, x: float, start: float | None = None) -> Any:
+    def advance(self, x: Any, start: Any = None) -> Any:
         change: float = x - self.kept
         self.kept = x
         return change
@@ -275,7 +284,7 @@ class LowPass(Memory):
     """A first-order low-pass filter with the time constant `tau` (s), as backward Euler has it."""
 
     def advance(self, x: float, tau: float) -> Any:
-        self.kept += (x - self.kept) * (self.timestep / (tau + self.timestep))
+        self.kept = self.kept + (x - self.kept) * (self.timestep / (tau + self.timestep))
         return self.kept
 
 
@@ -287,7 +296,7 @@ class Integral(Memory):
         return 0.0
 
     def advance(self, x: float) -> Any:
-        self.kept += x * self.timestep
+        self.kept = self.kept + x * self.timestep
         return self.kept
 
 
@@ -318,13 +327,13 @@ class Duration(Memory):
 class RisingEdge(Memory):
     """Whether the condition has just become true."""
 
-    def begin(self, condition: bool) -> bool:
+    def begin(self, condition: Any) -> Any:
         self.kept = condition
         return False
 
-    def advance(self, condition: bool) -> bool:
+    def advance(self, condition: Any) -> Any:
         before, self.kept = self.kept, condition
-        return condition and not before
+        return condition > before  # True is greater than False
 
 
 class VectorMemory(Memory):
@@ -338,13 +347,13 @@ class VectorMemory(Memory):
         super().__init__(timestep, on_message=on_message)
 
 
-class DeltaOfVector(VectorMemory):
+class DeltaOfVector(VectorMemory, Delta):
     """The change of each component since the previous timestep; 0 at a reset."""
 
     component = Delta
 
     def begin(self, x: Sequence[float], start: Sequence[float] | None = None) -> Any:
-        self.kept = x if start is None else start
+        super().begin(x, start)
         return [0.0] * self.count
 
     def advance(self, x: Sequence[float], start: Sequence[float] | None = None) -> Any:
@@ -352,32 +361,24 @@ class DeltaOfVector(VectorMemory):
         return list(map(operator.sub, x, before))
 
 
-class PreviousOfVector(VectorMemory):
+class PreviousOfVector(VectorMemory, Previous):
     """Each component in the previous timestep."""
 
     component = Previous
 
-    def begin(self, x: Sequence[Any], start: Sequence[Any] | None = None) -> Any:
-        self.kept = x if start is None else start
-        return self.kept
 
-    def advance(self, x: Sequence[Any], start: Sequence[Any] | None = None) -> Any:
-        before, self.kept = self.kept, x
-        return before
-
-
-class RisingEdgeOfVector(VectorMemory):
+class RisingEdgeOfVector(VectorMemory, RisingEdge):
     """Whether the condition of each component has just become true."""
 
     component = RisingEdge
 
     def begin(self, condition: Sequence[bool]) -> Any:
-        self.kept = condition
+        super().begin(condition)
         return [False] * self.count
 
     def advance(self, condition: Sequence[bool]) -> Any:
         before, self.kept = self.kept, condition
-        return list(map(operator.gt, condition, before))  # True is greater than False
+        return list(map(operator.gt, condition, before))
 
 
 _VECTOR_MEMORIES: dict[type[Memory], type[VectorMemory]] = {
