@@ -204,29 +204,14 @@ class Cartesian(Motor):
         max_torque: PerJoint,
         *,
         rpy: tuple[float, float, float] | None = None,
-        strength: PerJoint = 1.0,
-        substep: float | None = None,
-        delay: float = 0.0,
-        time_constant: float = 0.0,
-        rates: Sequence[float] = (),
+        **response: Any,
     ) -> None:
-        """`rpy` (rad) is the attitude that the link keeps; without, it may have any."""
+        """`rpy` (rad) is the attitude that the link keeps; without, it may have any. `response` are further arguments of a `Motor`."""
         self._solve = engine.inverse_kinematics((robot, link), joints)
         self.attitude = None if rpy is None else quaternion(*rpy)
         self.watch: Callable[[Triple, Sequence[float]], object] | None = None
         """Called with the position of each command (m, world frame) and the joint positions computed for it (rad or m)."""
-        super().__init__(
-            engine,
-            "position_motor",
-            robot,
-            joints,
-            max_torque,
-            strength=strength,
-            substep=substep,
-            delay=delay,
-            time_constant=time_constant,
-            rates=rates,
-        )
+        super().__init__(engine, "position_motor", robot, joints, max_torque, **response)
 
     def __call__(self, targets: Sequence[float]) -> None:
         x, y, z = targets

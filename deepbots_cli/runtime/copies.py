@@ -213,12 +213,6 @@ class CopiesSupervisor(Supervisor):
     def get_observations(self) -> Any:
         return _rows([agent.get_observations() for agent in self.agents.values()])
 
-    def get_reward(self) -> float:
-        return self.reward
-
-    def is_done(self) -> tuple[bool, bool]:
-        return self.terminated, self.truncated
-
     def get_info(self) -> Info:
         agents = self.agents.values()
         infos = [agent.get_info() for agent in agents]

@@ -31,7 +31,7 @@ from deepbots_cli.expressions.scalar import Const
 from deepbots_cli.frames import Triple
 from deepbots_cli.message_formats import FORMATS
 from deepbots_cli.plugins import import_attribute
-from deepbots_cli.program.robots import MessageField, MessageLayout, Route
+from deepbots_cli.program.robots import MessageLayout, Route
 from deepbots_cli.runtime.streams import Streams
 
 Value = float | bool | bytes
@@ -127,11 +127,8 @@ def values_by_field(layout: MessageLayout, values: Sequence[Any]) -> list[Any]:
 
 def scalar_fields(layout: MessageLayout) -> list[tuple[str, str]]:
     """Name and dtype of every single value in a message, in order: `pole_angle`, `gyro.x` ..."""
-    return [(name, field.dtype) for field in layout.fields for name in _scalar_names(field)]
-
-
-def _scalar_names(field: MessageField) -> list[str]:
-    return [f"{field.name}.{c}" for c in field.components] if field.components else [field.name]
+    fields = [(field, [f"{field.name}.{c}" for c in field.components] or [field.name]) for field in layout.fields]
+    return [(name, field.dtype) for field, names in fields for name in names]
 
 
 def zero_values(layout: MessageLayout) -> list[Any]:
@@ -236,22 +233,13 @@ def _tuple_type(codes: list[str]) -> Any:
     return GenericAlias(tuple, (int, *kinds))
 
 
-def json_codec(layout_hash: int, codes: list[str]) -> Codec:
-    encoder = msgspec.json.Encoder().encode
-    return Codec(
-        lambda *values: encoder((layout_hash, *values)),
-        msgspec.json.Decoder(_tuple_type(codes)).decode,
-        lambda message: list(msgspec.json.decode(message)),
-    )
+def _msgspec_codec(library: Any, layout_hash: int, codes: list[str]) -> Codec:
+    encoder = library.Encoder().encode
+    decoder = library.Decoder(_tuple_type(codes)).decode
+    return Codec(lambda *values: encoder((layout_hash, *values)), decoder, lambda message: list(library.decode(message)))
 
 
-def msgpack_codec(layout_hash: int, codes: list[str]) -> Codec:
-    encoder = msgspec.msgpack.Encoder().encode
-    return Codec(
-        lambda *values: encoder((layout_hash, *values)),
-        msgspec.msgpack.Decoder(_tuple_type(codes)).decode,
-        lambda message: list(msgspec.msgpack.decode(message)),
-    )
+json_codec, msgpack_codec = partial(_msgspec_codec, msgspec.json), partial(_msgspec_codec, msgspec.msgpack)
 
 
 def layout_error(layout: MessageLayout, format: str, message: object, step: int) -> MessageError:

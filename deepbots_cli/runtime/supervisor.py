@@ -393,13 +393,13 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
     def get_observations(self) -> Observation:
         """The observation, float32 in [-1, 1]; a copy."""
 
-    @abstractmethod
     def get_reward(self) -> float:
         """The reward of the last step: the sum of its terms."""
+        return self.reward
 
-    @abstractmethod
     def is_done(self) -> tuple[bool, bool]:
         """Whether the task ended (success or failure), and whether a limit cut the episode short."""
+        return self.terminated, self.truncated
 
     @abstractmethod
     def get_info(self) -> Info:
