@@ -23,8 +23,6 @@ from deepbots_cli.port import ZERO_VECTOR, CameraImage, Overlap
 from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from deepbots_cli.engines.objects import Pool
     from deepbots_cli.engines.pybullet.state import Body
     from deepbots_cli.frames import Frame, Quaternion, Triple
@@ -247,8 +245,8 @@ class PyBulletEngine:
         return self._bound(part, partial(self._rays.reader, rays=tuple(rays), reach=reach))
 
     def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
-        body, link = self._body(part[0]), part[1]
-        chain = Chain(body.model, link or body.model.root, joints)
+        model = self._pool(part[0]).current.model
+        chain = Chain(model, part[1] or model.root, joints)
         root, read = self.pose(part[0]), self.joint_states(part[0], chain.moving_joints)
         return lambda position, attitude: chain.solve(root(), [state[0] for state in read()], position, attitude)
 
@@ -310,7 +308,9 @@ class PyBulletEngine:
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
         camera, pose = cameras.Camera(self._client, width, height, fov, self._floor), self.pose(*part)
-        names, places = self._body_indices()
+        names, places = tuple(self._pools), np.zeros(p.getNumBodies(self._client) + 1, np.int32)  # of PyBullet's numbers among the names
+        for place, pool in enumerate(self._pools.values()):
+            places[[body.number for body in pool]] = place
         ground = names.index(GROUND) if GROUND in names else -1
 
         def look() -> CameraImage:
@@ -318,13 +318,6 @@ class PyBulletEngine:
             return image._replace(colours=brightened(image.colours, self._parameters.light))
 
         return look
-
-    def _body_indices(self) -> tuple[tuple[str, ...], NDArray[np.int32]]:
-        """Names of all bodies, and the place of each of PyBullet's numbers among them."""
-        names, places = tuple(self._pools), np.zeros(p.getNumBodies(self._client) + 1, np.int32)
-        for place, pool in enumerate(self._pools.values()):
-            places[[body.number for body in pool]] = place
-        return names, places
 
     def render(self, view: View) -> Image:
         self._require_open()
@@ -353,19 +346,9 @@ class PyBulletEngine:
     def _pool(self, name: str) -> Pool[Body]:
         return find(self._require_open()._pools, name, "the world has no body")
 
-    def _body(self, name: str) -> Body:
-        return self._pool(name).current
-
-    def _link(self, body: str, link: str | None) -> tuple[Body, int]:
-        owner = self._body(body)
-        return owner, _index(owner, link)
-
-    def _joint(self, owner: Body, joint: str) -> int:
-        return find(owner.joints, joint, f"'{owner.name}' has no joint")
-
     def _joints(self, robot: str, names: Sequence[str]) -> tuple[int, tuple[int, ...]]:
-        body = self._body(robot)
-        return body.number, tuple(self._joint(body, name) for name in names)
+        body = self._pool(robot).current
+        return body.number, tuple(find(body.joints, name, f"'{body.name}' has no joint") for name in names)
 
     def _bound(self, part: Part, bind: Callable[[Body, int], Callable[P, R]], none: int = BASE_LINK) -> Callable[P, R]:
         """What `bind` makes of a link, in whichever form its body takes; `none` stands for the link None."""
