@@ -116,10 +116,9 @@ class Printer:
         """Add to a kept value. A column is replaced, as others may hold the old one, in worlds that go on."""
         self.line(f"{target} += {code}" if self.on_floats else f"{target} = self.add({target}, {code})")
 
-    def operation(self, operation: str, codes: Sequence[str]) -> str:
+    def operation(self, operation: str, args: Sequence[Code]) -> Code:
         """The code of an operation on values with this code."""
-        args = [Code(code) for code in codes]
-        return operation_code(operation, args, (), self.context.target).text if len(args) > 1 or operation == "not" else codes[0]
+        return operation_code(operation, args, (), self.context.target) if len(args) > 1 or operation == "not" else args[0]
 
     @property
     def on_floats(self) -> bool:

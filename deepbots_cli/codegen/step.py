@@ -15,7 +15,7 @@ from deepbots_cli.codegen.reset import print_draws_of_message, print_redraws, st
 from deepbots_cli.codegen.robot import observes_each_timestep
 from deepbots_cli.codegen.text import block, indent, quoted, targets_code, tuple_code, with_comment
 from deepbots_cli.codegen.workspace import SupervisorPrinter, zeros
-from deepbots_cli.expressions.lower import number_code
+from deepbots_cli.expressions.lower import Code, number_code
 from deepbots_cli.expressions.scalar import Const, Name, names_in
 from deepbots_cli.program.robots import Robot, Route
 from deepbots_cli.program.task import Observation, Option
@@ -333,43 +333,29 @@ def _print_endings(supervisor: SupervisorPrinter, printer: Printer) -> None:
         printer.assign(supervisor.local(ending.name), code, ending.text)
     failures = [ending for ending in endings if ending.name in supervisor.scenario.failures]
     successes = supervisor.scenario.successes
-    if not printer.on_floats:
-        _print_endings_of_batch(supervisor, printer, failures, successes)
-        return
     if endings:
-        printer.line(f"if {' or '.join(supervisor.local(ending.name) for ending in endings)}:")
         held = ", ".join(f"{quoted(ending.name)}: {supervisor.local(ending.name)}" for ending in [*failures, *successes])
-        success = ""
-        if successes:
-            reached = " or ".join(supervisor.local(ending.name) for ending in successes)
-            refused = "".join(f" and not {supervisor.local(ending.name)}" for ending in failures)
-            success = f", success={f'({reached})' if refused and len(successes) > 1 else reached}{refused}"
-        printer.line(f"    self._terminate({{{held}}}{success})")
+        success = f", success={_success(supervisor, printer, failures, successes)}" if successes else ""
+        ending_line = f"self._terminate({{{held}}}{success})"
+        any_holds = " or ".join(supervisor.local(ending.name) for ending in endings)
+        printer.lines += [f"if {any_holds}:", f"    {ending_line}"] if printer.on_floats else [ending_line]
     limit = _tick_limit(supervisor)
-    if limit is not None:
-        printer.line(f"{'elif' if endings else 'if'} {supervisor.tick} >= {limit[0]}:")
-        printer.line(f"    self._truncate({quoted(limit[1])})")
-        if supervisor.agent.goal is not None and not successes:
-            printer.line(f"    self.is_success = {supervisor.local('goal_reached')}")
+    if limit is None:
+        return
+    reached, name = f"{supervisor.tick} >= {limit[0]}", quoted(limit[1])
+    goal = supervisor.local("goal_reached") if supervisor.agent.goal is not None and not successes else ""
+    if printer.on_floats:
+        printer.lines += [f"{'elif' if endings else 'if'} {reached}:", f"    self._truncate({name})"]
+        printer.lines += [f"    self.is_success = {goal}"] if goal else []
+    else:
+        printer.line(f"self._truncate({name}, {reached}{f', {goal}' if goal else ''})")
 
 
-def _print_endings_of_batch(
-    supervisor: SupervisorPrinter, printer: Printer, failures: Sequence[Expression], successes: Sequence[Expression]
-) -> None:
-    """Print the endings of a batch, for each world by itself."""
-    names = [supervisor.local(ending.name) for ending in [*failures, *successes]]
-    if names:
-        held = ", ".join(f"{quoted(ending.name)}: {local}" for ending, local in zip([*failures, *successes], names, strict=True))
-        success = ""
-        if successes:
-            reached = printer.operation("or", names[len(failures) :])
-            refused = [printer.operation("not", [local]) for local in names[: len(failures)]]
-            success = f", success={printer.operation('and', [reached, *refused])}"
-        printer.line(f"self._terminate({{{held}}}{success})")
-    limit = _tick_limit(supervisor)
-    if limit is not None:
-        reached_goal = f", {supervisor.local('goal_reached')}" if supervisor.agent.goal is not None and not successes else ""
-        printer.line(f"self._truncate({quoted(limit[1])}, {supervisor.tick} >= {limit[0]}{reached_goal})")
+def _success(supervisor: SupervisorPrinter, printer: Printer, failures: Sequence[Expression], successes: Sequence[Expression]) -> str:
+    """The code of whether a success holds, and no failure."""
+    reached = printer.operation("or", [Code(supervisor.local(ending.name)) for ending in successes])
+    refused = [printer.operation("not", [Code(supervisor.local(ending.name))]) for ending in failures]
+    return printer.operation("and", [reached, *refused]).text
 
 
 def _tick_limit(supervisor: SupervisorPrinter) -> tuple[int, str] | None:
@@ -428,7 +414,7 @@ def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
         if supervisor.uses(flag):
             printer.line(f"{supervisor.local(flag)} = self.{flag}")
     if supervisor.uses("ended"):
-        printer.line(f"{supervisor.local('ended')} = {printer.operation('or', ['self.terminated', 'self.truncated'])}")
+        printer.line(f"{supervisor.local('ended')} = {printer.operation('or', [Code('self.terminated'), Code('self.truncated')]).text}")
     for term in terms:
         printer.update_memories([term.scalar])
     names = [supervisor.names(f"{term.name} term") if supervisor.repeats_actions else f"self.term_{term.name}" for term in terms]

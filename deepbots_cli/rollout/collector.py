@@ -20,6 +20,7 @@ import numpy as np
 
 from deepbots_cli.rollout.worlds import Array, Ending, Worlds, WorldsStep, observation_digest
 from deepbots_cli.runtime.batch import EpisodeHistory
+from deepbots_cli.runtime.spaces import by_part
 
 
 class Decision(NamedTuple):
@@ -160,6 +161,4 @@ def join(fragments: Sequence[Fragment]) -> Fragment:
 
 def _joined(join_arrays: Callable[[Sequence[Any]], Any], observations: Sequence[Any]) -> Any:
     """Observations joined array by array."""
-    if isinstance(observations[0], dict):
-        return {key: join_arrays([each[key] for each in observations]) for key in observations[0]}
-    return join_arrays(observations)
+    return by_part(lambda *parts: join_arrays(parts), *observations)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from operator import itemgetter
 from typing import Any, NamedTuple, Protocol
 
 import gymnasium as gym
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.rollout.episode import Episode, EpisodeAccumulator, random_state, set_random_state
 from deepbots_cli.runtime.batch import BatchStep, BatchSupervisor, EpisodeHistory, LostWorld
+from deepbots_cli.runtime.spaces import by_part
 
 Array = NDArray[Any]
 Outcome = tuple[Any, float, bool, bool, dict[str, Any]]
@@ -356,10 +358,10 @@ class BatchWorlds(Worlds):
             self._on_step()
             if world in ended:
                 place, outcome, episodes = ended[world]
-                last, info = outcome.final_observations, outcome.infos[place]
+                info = outcome.infos[place]
                 episode = episodes.close(world, info)
                 self._on_episode(world, episode)
-                seen = {key: part[place] for key, part in last.items()} if isinstance(last, dict) else last[place]
+                seen = by_part(itemgetter(place), outcome.final_observations)
                 endings.append(Ending(world, episode, seen, not outcome.terminated[world]))
                 infos[world] = info
                 seed = self._next_seed(world)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from deepbots_cli.program.robots import Direction, Sensor
 from deepbots_cli.runtime.columns import BatchMemory
 from deepbots_cli.runtime.devices import BatchDevice, stack_worlds
 from deepbots_cli.runtime.messages import LossyChannel
-from deepbots_cli.runtime.spaces import frame_indices
+from deepbots_cli.runtime.spaces import by_part, frame_indices, joined
 from deepbots_cli.runtime.supervisor import RobotController, Supervisor
 
 Column = NDArray[Any]
@@ -317,7 +318,7 @@ class BatchSupervisor(_BatchPart, ABC):
 
     def advance(self, action: Any, resting: Column | None = None) -> BatchStep:
         """One step of all worlds but those that are `resting` (truth values), whose episodes have ended; no episode begins."""
-        action = _copied(action)
+        action = by_part(np.array, action)
         self._actions.append(action)
         self._acting = self.running = None if resting is None else ~resting
         with np.errstate(all="ignore"):
@@ -331,7 +332,7 @@ class BatchSupervisor(_BatchPart, ABC):
         done = np.flatnonzero(ended if resting is None else ended & ~resting)
         if not len(done):
             return BatchStep(observations, rewards, terms, terminated, truncated, done, None, [])
-        last, infos = _of_worlds(observations, done), [self.info(world) for world in done.tolist()]
+        last, infos = by_part(itemgetter(done), observations), [self.info(world) for world in done.tolist()]
         return BatchStep(observations, rewards, terms, terminated, truncated, done, last, infos)
 
     def begin(self, worlds: Sequence[int], seeds: Sequence[int | None], options: dict[str, Any] | None = None) -> None:
@@ -349,7 +350,7 @@ class BatchSupervisor(_BatchPart, ABC):
     def snapshot(self) -> list[EpisodeHistory]:
         """The running episode of each world, from which `restore` goes on; its size is proportional to the number of actions."""
         begun = enumerate(zip(self._starts, self._first, strict=True))
-        return [EpisodeHistory(start, [_of_worlds(action, world) for action in self._actions[first:]]) for world, (start, first) in begun]
+        return [EpisodeHistory(start, [by_part(itemgetter(w), each) for each in self._actions[first:]]) for w, (start, first) in begun]
 
     def restore(self, episodes: Sequence[EpisodeHistory], on_step: Callable[[Column], None] = lambda acting: None) -> Any:
         """Bring the worlds back to the moment of a snapshot, exactly: each episode begins again and repeats its actions.
@@ -369,7 +370,7 @@ class BatchSupervisor(_BatchPart, ABC):
             if step < last:
                 places = [step - last + len(episode.actions) for episode in episodes]
                 rows = [episode.actions[place] if place >= 0 else idle for place, episode in zip(places, episodes, strict=True)]
-                self._actions.append(_joined(rows))
+                self._actions.append(joined(rows))
                 with np.errstate(all="ignore"):
                     self._advance(self._actions[-1])
                 on_step(np.array(places) >= 0)
@@ -569,18 +570,3 @@ class BatchSupervisor(_BatchPart, ABC):
     def _no_value(self, world: int, what: str) -> EvaluationError:
         seed = self.singles[world].streams.root
         return EvaluationError(f"step {int(self.step_count[world])} of world {world} (seed {seed}): {what} is not finite")
-
-
-def _copied(action: Any) -> Any:
-    """The actions of all worlds, which the caller may write over."""
-    return {key: np.array(part) for key, part in action.items()} if isinstance(action, dict) else np.array(action)
-
-
-def _joined(rows: Sequence[Any]) -> Any:
-    """The actions of all worlds from that of each."""
-    return {key: np.array([row[key] for row in rows]) for key in rows[0]} if isinstance(rows[0], dict) else np.array(rows)
-
-
-def _of_worlds(rows: Any, worlds: Any) -> Any:
-    """The rows of some worlds, or of one, in observations or actions."""
-    return {key: part[worlds] for key, part in rows.items()} if isinstance(rows, dict) else rows[worlds]

@@ -14,7 +14,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
-import numpy as np
 from gymnasium.vector.utils import batch_space
 
 from deepbots_cli.frames import Quaternion, Triple, add
@@ -23,7 +22,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import RobotCopies
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.runtime.placement import copy_offset
-from deepbots_cli.runtime.spaces import canonical_action, is_canonical
+from deepbots_cli.runtime.spaces import canonical_action, is_canonical, joined
 from deepbots_cli.runtime.streams import NOTHING_CHOSEN, Drawn, Streams
 from deepbots_cli.runtime.supervisor import Info, Supervisor
 
@@ -204,14 +203,14 @@ class CopiesSupervisor(Supervisor):
 
     def scripted(self, name: str) -> Any:
         """Every copy follows the script."""
-        return _rows([agent.scripted(name) for agent in self.agents.values()])
+        return joined([agent.scripted(name) for agent in self.agents.values()])
 
     def make_action(self, choices: Sequence[int], ranges: Sequence[float]) -> Any:
         """Every copy takes the same action."""
-        return _rows([agent.make_action(choices, ranges) for agent in self.agents.values()])
+        return joined([agent.make_action(choices, ranges) for agent in self.agents.values()])
 
     def get_observations(self) -> Any:
-        return _rows([agent.get_observations() for agent in self.agents.values()])
+        return joined([agent.get_observations() for agent in self.agents.values()])
 
     def get_info(self) -> Info:
         agents = self.agents.values()
@@ -229,10 +228,3 @@ class CopiesSupervisor(Supervisor):
 
     def allowed(self) -> tuple[tuple[bool, ...], ...]:
         return tuple(mask for agent in self.agents.values() for mask in agent.allowed())
-
-
-def _rows(values: Sequence[Any]) -> Any:
-    """Observations or actions of all agents as one, with a row for each."""
-    if isinstance(values[0], dict):
-        return {key: np.stack([value[key] for value in values]) for key in values[0]}
-    return np.stack(values)

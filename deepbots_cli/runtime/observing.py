@@ -41,7 +41,7 @@ class Observer:
         texts |= {full: signal.text for signal in program.signals for full, _ in signal.numbers}
         read = (leaf.full_name for tree in self._achieved.values() for leaf in names_in(tree))
         self.values = tuple(dict.fromkeys((*(value.name for value in self._inputs), *read)))
-        self._computed = {name: texts[name] for name in self.values if name in texts and not _is_sent(name, sent)}
+        self._computed = {name: texts[name] for name in self.values if name in texts and sent.isdisjoint((name, name.rpartition(".")[0]))}
 
     def observe(self, values: Mapping[str, float], desired: Sequence[float] | None = None) -> Any:
         """The observation, float32: an array, or with a goal a dictionary of arrays.
@@ -120,10 +120,6 @@ class Observer:
             return f"this policy sees the image '{program.agent.images[0].key}'; take observations from the environment"
         older = next((value.name for value in self._inputs if value.steps_ago), None)
         return f"this policy sees older values of {older}; take observations from the environment" if older else ""
-
-
-def _is_sent(name: str, sent: set[str]) -> bool:
-    return name in sent or name.rpartition(".")[0] in sent
 
 
 def _from_messages(tree: Scalar, sent: set[str], signals: Mapping[str, Scalar]) -> Scalar | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Scalar
 from deepbots_cli.footprint import Bounds, bounds_of_shape, robot_bounds
@@ -202,7 +203,7 @@ def _ends(scalar: Scalar, parameters: Parameters) -> tuple[float, float]:
 def moved_view(view: View, by: Iterable[float]) -> View:
     """The view shifted by `by` (m) along x, y and z."""
     x, y, z = by
-    return View(add(view.eye, (x, y, z)), add(view.target, (x, y, z)), view.width, view.height, view.fov, view.samples)
+    return replace(view, eye=add(view.eye, (x, y, z)), target=add(view.target, (x, y, z)))
 
 
 def _unit(v: Triple) -> Triple:

@@ -337,14 +337,6 @@ def sees(device: Device, body: str) -> Callable[[], bool]:
     return seen
 
 
-def _colours(image: CameraImage, _optics: CameraIntrinsics) -> Image:
-    return image.colours
-
-
-def _grayscale(image: CameraImage, _optics: CameraIntrinsics) -> Image:
-    return _bytes(np.asarray(image.colours @ _GREY_WEIGHTS))
-
-
 def _depth(image: CameraImage, optics: CameraIntrinsics) -> Image:
     """Black at `near`, white at `far` and beyond."""
     share = (image.depth - optics.near) / (optics.far - optics.near)
@@ -362,8 +354,8 @@ def _bytes(values: NDArray[Any]) -> Image:
 
 
 _PICTURES: dict[str, Callable[[CameraImage, CameraIntrinsics], Image]] = {
-    "rgb": _colours,
-    "grayscale": _grayscale,
+    "rgb": lambda image, _: image.colours,
+    "grayscale": lambda image, _: _bytes(np.asarray(image.colours @ _GREY_WEIGHTS)),
     "depth": _depth,
     "segmentation": _segmentation,
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, cast
 
 import gymnasium as gym
@@ -105,6 +105,18 @@ def fitting_rows(space: gym.Space[Any], actions: Any, count: int) -> NDArray[np.
         fits = (array >= 0) & (array < options)
     rows: NDArray[np.bool_] = np.logical_and.reduce(fits.reshape(count, -1), axis=1)
     return rows
+
+
+def by_part(function: Callable[..., Any], *values: Any) -> Any:
+    """The function of observations or actions, or of each of their parts where they are dictionaries of arrays."""
+    if isinstance(values[0], dict):
+        return {key: function(*(value[key] for value in values)) for key in values[0]}
+    return function(*values)
+
+
+def joined(rows: Sequence[Any]) -> Any:
+    """Observations or actions, one of each world or agent, as one with a row for each."""
+    return by_part(lambda *parts: np.array(parts), *rows)
 
 
 def is_canonical(usual: Any, action: Any) -> bool:

@@ -565,11 +565,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
     def __reduce__(self) -> tuple[Any, ...]:
         if self.rebuild is None:
             raise UsageError("this environment was built by hand and cannot be copied to another process")
-        return (_rebuild, (self.rebuild,))
-
-
-def _rebuild(rebuild: Callable[[], Supervisor]) -> Supervisor:
-    return rebuild()
+        return self.rebuild, ()
 
 
 # Robot controllers

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from deepbots_cli.errors import UsageError
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.messages import excerpt
-from deepbots_cli.runtime.spaces import fitting_rows
+from deepbots_cli.runtime.spaces import by_part, fitting_rows
 
 
 class BatchEnvironment(VectorEnv[Any, Any, Any]):
@@ -78,8 +79,7 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
             ended[outcome.done] = True
             last = np.full(self.num_envs, None, object)
             for row, world in enumerate(outcome.done):
-                taken = outcome.final_observations
-                last[world] = {key: part[row] for key, part in taken.items()} if isinstance(taken, dict) else taken[row]
+                last[world] = by_part(itemgetter(row), outcome.final_observations)
             final: dict[str, Any] = {}
             for world, info in zip(outcome.done, outcome.infos, strict=True):
                 final = self._add_info(final, info, int(world))
@@ -93,8 +93,8 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
             raise UsageError(f"actions {excerpt(actions)} do not fit {self.num_envs} worlds of {self.single_action_space}")
         if not fits.all():
             world = int(fits.argmin())
-            action = {key: part[world] for key, part in actions.items()} if isinstance(actions, dict) else actions[world]
-            raise UsageError(f"world {world}: action {excerpt(action)} does not fit {self.single_action_space}")
+            action = excerpt(by_part(itemgetter(world), actions))
+            raise UsageError(f"world {world}: action {action} does not fit {self.single_action_space}")
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release all worlds."""

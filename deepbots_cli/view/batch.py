@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +15,7 @@ from deepbots_cli.rollout.drivers import HAND, POLICY, RANDOM, ZERO, action_from
 from deepbots_cli.rollout.worlds import BatchEpisodes
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.batch import BatchChannel, columns_array
+from deepbots_cli.runtime.spaces import joined
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.episodes import Player, RunDriver
 from deepbots_cli.view.frames import FrameReader, ReceivedMessage, WorldFrame, value_of_row
@@ -50,7 +49,7 @@ class BatchPlayer(Player):
             self.driver = RunDriver(self.opened.run, self.env, rows=self.worlds)
         elif name in (HAND, RANDOM, ZERO):
             each = [self._make_driver(single, name) for single in self.batch.singles]
-            self.driver = Driver(lambda _: _joined([driver.act(None) for driver in each]))
+            self.driver = Driver(lambda _: joined([driver.act(None) for driver in each]))
         else:
             raise UsageError(f"'{name}' cannot act in a batch of worlds; use {', '.join(self.opened.drivers)}, or leave out --worlds")
         self.driver_name = name
@@ -81,7 +80,7 @@ class BatchPlayer(Player):
 
     def step(self, *, by_hand: bool = False) -> WorldFrame:
         self.action = (
-            _joined([action_from_values(self.env, self.manual_values)] * self.worlds) if by_hand else self.driver.act(self.observation)
+            joined([action_from_values(self.env, self.manual_values)] * self.worlds) if by_hand else self.driver.act(self.observation)
         )
         acting = ~self._running.resting
         outcome = self._running.step_all(self.action)
@@ -137,9 +136,3 @@ class BatchPlayer(Player):
             return message
         columns = [columns_array(value, self.worlds) for value in channel.receive()]
         return ReceivedMessage(tuple(float(x) for column in columns for x in np.atleast_1d(column[..., self.world])), 0.0, True)
-
-
-def _joined(actions: Sequence[Any]) -> Any:
-    """The actions of all worlds from that of each."""
-    first = actions[0]
-    return {key: np.array([action[key] for action in actions]) for key in first} if isinstance(first, dict) else np.array(actions)
