@@ -298,7 +298,9 @@ def _print_noise(
     """Add noise to the local variable of a value; nothing where the scenario gives it none."""
     if noise is None:
         return
-    std = _std(supervisor, printer, stream, noise)
+    # one number or one per component: constants, or what the episode drew
+    fixed = all(isinstance(value, Const) for value in noise.std.scalars)
+    std = printer.vector_or_number(noise.std.scalars[1:], noise.std.scalars) if fixed else std_attribute(supervisor, stream)
     said = printer.names.identifier(f"noise {stream}", "noise", local)
     count = max(1, len(components))
     drawn = "self.streams.normals" if printer.on_floats else "self.normals"
@@ -312,14 +314,6 @@ def _print_noise(
     scale = f"c{relative}" if many else f"{std}{relative}"
     columns = ", ".join([local, said, *([std] if many else [])])
     printer.line(f"{local} = [a + {scale} * b for a, b{', c' if many else ''} in zip({columns})]")
-
-
-def _std(supervisor: SupervisorPrinter, printer: Printer, stream: str, noise: Noise) -> str:
-    """The standard deviation, one number or one per component: constants, or what the episode drew."""
-    scalars = noise.std.scalars
-    if all(isinstance(value, Const) for value in scalars):
-        return printer.vector_or_number(scalars[1:], scalars)
-    return std_attribute(supervisor, stream)
 
 
 # Endings

@@ -81,14 +81,9 @@ def print_batch_supervisor(scenario: Program, constants: Constants) -> list[str]
         doc=docstring(scenario.summary or scenario.name),
         tables=[*tables, ""] if tables else [],
         state=[*([f"STATE = {quoted_tuple(tuple(supervisor.state))}"] if supervisor.state else []), f"TERMS = {quoted_tuple(terms)}", ""],
-        binding=_bind_batch(supervisor),
+        binding=[*_bind_robots(supervisor), *supervisor.readers.bind_lines(), *supervisor.memory_lines()],
         methods=methods,
     )
-
-
-def _bind_batch(supervisor: SupervisorPrinter) -> list[str]:
-    memories = [f"self.{name} = {code}" for name, code in supervisor.memories.items()]
-    return [*_bind_robots(supervisor), *supervisor.readers.bind_lines(), *memories]
 
 
 def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
@@ -134,8 +129,9 @@ def _bind(supervisor: SupervisorPrinter) -> list[str]:
     lines += ["self.bodies = Arrangement(self.scenario, engine)"] if arranged else []
     if supervisor.readers.needs_paths:
         lines.append(f"self.ways = Ways(self.scenario, engine{', self.bodies' if arranged else ''})")
-    memories = [f"self.{name} = {code}" for name, code in supervisor.memories.items()]
-    return [*lines, *supervisor.readers.bind_lines(), *memories, *bind_pushes(supervisor), *bind_foreign(supervisor)] or ["pass"]
+    return [*lines, *supervisor.readers.bind_lines(), *supervisor.memory_lines(), *bind_pushes(supervisor), *bind_foreign(supervisor)] or [
+        "pass"
+    ]
 
 
 # The paper's methods, which read what `_observe` left and change nothing

@@ -351,6 +351,10 @@ class SupervisorPrinter:
     def printer(self) -> Printer:
         return Printer(self, settable=self.settable)
 
+    def memory_lines(self) -> list[str]:
+        """Statements that make the memories of stateful functions."""
+        return [f"self.{name} = {code}" for name, code in self.memories.items()]
+
     # What the names in expressions mean
 
     def scalar(self, leaf: Name | EngineRead, needs: ReaderKeys) -> str:

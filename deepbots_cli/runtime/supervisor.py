@@ -82,18 +82,9 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
     changes nothing.
     """
 
-    frames: NDArray[np.float32]
     newest: int
-    reward: float
-    previous_reward: float
-    episode_return: float
-    terminated: bool
-    truncated: bool
-    is_success: bool
     ended_by: str | None
     endings: tuple[str, ...]
-    step_count: int
-    timestep_count: int
     episode_values: dict[str, float]
     """The present values, in SI units, of what `options` of `reset` can set, by its names."""
     _followed_from: tuple[float, float] | None  # where the robot was that pictures follow

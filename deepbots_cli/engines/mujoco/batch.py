@@ -107,7 +107,9 @@ class BatchMember(EngineProxy):
         self._batch.acts_in_substeps = True
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
-        pushes, index, pool = self._batch.pushes_of(self._pushers, frame), self._index, self._batch.single._pool(part[0])
+        if self._pushers == len(self._batch._pushes):
+            self._batch._pushes.append(Pushes(self._batch.count, frame))
+        pushes, index, pool = self._batch._pushes[self._pushers], self._index, self._batch.single._pool(part[0])
         self._pushers += 1
         link = _link(pool.current, part[1])
 
@@ -167,6 +169,7 @@ class MuJoCoBatch:
         self.acts_in_substeps = False
         """Whether members do something in each substep."""
         self._pushes: list[Pushes] = []
+        """Of all members, in the order in which each of them binds its pushers."""
         self.motors: dict[Any, BatchMotor] = {}
         self.has_commands = False
         """Whether members have commanded motors since the last step."""
@@ -272,12 +275,6 @@ class MuJoCoBatch:
                 turned = self._observer.read("xquat")[worlds, links].T[[1, 2, 3, 0]]
                 applied[worlds, links] += pushes.take(worlds, turned, self.nominal.body_ipos[links].T)
         return applied
-
-    def pushes_of(self, number: int, frame: Literal["world", "link"]) -> Pushes:
-        """Of the pushers that each member bound as the one of this number."""
-        if number == len(self._pushes):
-            self._pushes.append(Pushes(self.count, frame))
-        return self._pushes[number]
 
     def take_commands(self) -> None:
         """Let worlds have what members changed, and motors what members commanded."""

@@ -149,11 +149,8 @@ class MujocoWorld:
             EngineError: The world was closed.
         """
         self.require_open()
-        if self._mass_changed:
+        if self.settle_values():
             mj.mj_setConst(self.model, self.scratch_data)
-        if self._friction_changed:
-            self._update_contact_pairs()
-        self._mass_changed = self._friction_changed = self.is_stale = False
 
     def settle_values(self) -> bool:
         """Compute what follows from all values that were set but masses; whether masses were set."""

@@ -121,9 +121,6 @@ def rays(world: MujocoWorld, body: Body, link: int, ray_frames: Sequence[Frame],
 
     ray, aside = mj.mj_ray, np.ascontiguousarray(directions.T)
 
-    def free_of(length: float) -> float:
-        return reach if length < 0.0 or length > reach else length
-
     if centre is None:
         origins, ways = np.empty_like(starts), np.empty_like(directions)
         each, turned = list(zip(origins, ways, strict=True)), axes.T  # views of arrays that keep their memory
@@ -154,7 +151,8 @@ def rays(world: MujocoWorld, body: Body, link: int, ray_frames: Sequence[Frame],
         for place, length in enumerate(free):
             if length < 0.0:  # something is between the centre and the start
                 origin, way = position + axes @ starts[place], axes @ directions[place]
-                free[place] = free_of(ray(model, data, origin, way, seen, True, -1, None, None))
+                hit = ray(model, data, origin, way, seen, True, -1, None, None)
+                free[place] = reach if hit < 0.0 or hit > reach else hit
         groups[:] = kept
         return free
 

@@ -16,7 +16,7 @@ from deepbots_cli.engines.pybullet import BASE_LINK, UNREACHABLE_SPEED, capture_
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.engines.pybullet.state import Body, contact_parameters
 from deepbots_cli.errors import EngineError
-from deepbots_cli.geometry import HeightGrid, height_grid, mesh_triangles
+from deepbots_cli.geometry import height_grid, mesh_triangles
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.world import GROUND
 from deepbots_cli.robots.meshes import read_verified
@@ -67,7 +67,9 @@ def create_client(world: WorldModel) -> int:
     )
     if any(robot.model.followers for robot in world.robots):
         p.setPhysicsEngineParameter(numSolverIterations=GEAR_ITERATIONS, physicsClientId=client)
-    if any(value > 0.0 for value in _restitutions(world)):
+    links = (link for robot in world.robots for link in robot.model.links)
+    stated = [world.ground.restitution if world.ground else 0.0, *(thing.restitution for thing in world.objects)]
+    if any(value > 0.0 for value in (*stated, *(link.friction.restitution or 0.0 for link in links))):
         # Contact error reduction turns penetration into velocity, more with every step of an impact: a restitution of 0.8
         # measured 0.82 to 0.88 at 1 ms steps. With a reduction within 0.2 s it measures 0.80 to 0.81. Worlds without
         # restitution keep the default.
@@ -75,34 +77,17 @@ def create_client(world: WorldModel) -> int:
     return client
 
 
-def _restitutions(world: WorldModel) -> Iterator[float]:
-    """Of everything there is, as far as it states one."""
-    if world.ground is not None:
-        yield world.ground.restitution
-    for thing in world.objects:
-        yield thing.restitution
-    for robot in world.robots:
-        yield from (link.friction.restitution or 0.0 for link in robot.model.links)
-
-
 def bodies(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
     """Everything there is, in the order of the world model."""
     for pool in _loaded(client, world):
-        if world.terrain is None:
-            for body in pool:
-                _limit_contacts(client, body)
+        for body, link in [(each, link) for each in pool for link in each.model.links if world.terrain is None]:
+            if not link.friction.restitution:
+                p.changeDynamics(body.number, body.links[link.name], contactProcessingThreshold=CONTACT_DISTANCE_M, physicsClientId=client)
         yield pool
 
 
-def _limit_contacts(client: int, body: Body) -> None:
-    """Let links that do not bounce have contacts within `CONTACT_DISTANCE_M` only."""
-    for link in body.model.links:
-        if not link.friction.restitution:
-            p.changeDynamics(body.number, body.links[link.name], contactProcessingThreshold=CONTACT_DISTANCE_M, physicsClientId=client)
-
-
 def _loaded(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
-    floor = _ground(client, world)
+    floor = _terrain(client, world.terrain) if world.terrain is not None else _plane(client, world.ground) if world.ground else None
     if floor is not None:
         _make_contact(client, floor)
         yield Pool(GROUND, [(GROUND, floor)], pooled=False)
@@ -193,13 +178,6 @@ def _make_contact(client: int, body: Body) -> None:
             p.changeDynamics(body.number, body.links[link.name], **{what: value}, physicsClientId=client)
 
 
-def _ground(client: int, world: WorldModel) -> Body | None:
-    """The terrain, or else the plane, or nothing."""
-    if world.terrain is not None:
-        return _terrain(client, world.terrain)
-    return _plane(client, world.ground) if world.ground is not None else None
-
-
 def _plane(client: int, ground: Ground) -> Body:
     shape = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client)
     unseen = p.createVisualShape(p.GEOM_SPHERE, radius=1e-3, visualFramePosition=(0.0, 0.0, -1000.0), physicsClientId=client)
@@ -216,12 +194,21 @@ def _terrain(client: int, ground: Terrain) -> Body:
     heights = height_grid(ground.shape)
     if heights is None:
         assert isinstance(ground.shape, Mesh)  # all else is a grid
-        corners = mesh_triangles(ground.shape)
-        shape = _mesh(client, corners.reshape(-1, 3), np.arange(corners.size // 3), p.GEOM_FORCE_CONCAVE_TRIMESH)
-        drawn, middle = _drawn_terrain(client, corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3), ground), 0.0
+        corners = mesh_triangles(ground.shape).reshape(-1, 3)
+        mesh = {"vertices": corners.tolist(), "indices": list(range(len(corners))), "flags": p.GEOM_FORCE_CONCAVE_TRIMESH}
+        shape = p.createCollisionShape(p.GEOM_MESH, **mesh, physicsClientId=client)
+        drawn, middle = _drawn_terrain(client, corners, np.arange(len(corners)).reshape(-1, 3), ground), 0.0
     else:
         middle = float(heights.heights.max() + heights.heights.min()) / 2  # the library moves it there
-        shape = _heightfield(client, heights)
+        rows, columns = heights.heights.shape
+        shape = p.createCollisionShape(
+            p.GEOM_HEIGHTFIELD,
+            meshScale=(*heights.cell, 1.0),
+            heightfieldData=heights.heights.ravel().tolist(),
+            numHeightfieldRows=columns,
+            numHeightfieldColumns=rows,
+            physicsClientId=client,
+        )
         drawn = _drawn_terrain(client, *heights.with_at_most(_MAX_VISUAL_CELLS).triangles(), ground, middle)
     if shape < 0:
         raise EngineError("PyBullet cannot build the terrain")
@@ -229,26 +216,6 @@ def _terrain(client: int, ground: Terrain) -> Body:
     made = _ground_body(client, number, Friction(lateral=ground.friction))
     made.initial_pose = ((0.0, 0.0, middle), frames.IDENTITY_ROTATION)
     return made
-
-
-def _heightfield(client: int, heights: HeightGrid) -> int:
-    rows, columns = heights.heights.shape
-    shape: int = p.createCollisionShape(
-        p.GEOM_HEIGHTFIELD,
-        meshScale=(*heights.cell, 1.0),
-        heightfieldData=heights.heights.ravel().tolist(),
-        numHeightfieldRows=columns,
-        numHeightfieldColumns=rows,
-        physicsClientId=client,
-    )
-    return shape
-
-
-def _mesh(client: int, vertices: NDArray[np.float64], indices: NDArray[np.int64], flags: int) -> int:
-    shape: int = p.createCollisionShape(
-        p.GEOM_MESH, vertices=vertices.tolist(), indices=indices.tolist(), flags=flags, physicsClientId=client
-    )
-    return shape
 
 
 def _drawn_terrain(client: int, vertices: NDArray[np.float64], faces: NDArray[np.int64], ground: Terrain, middle: float = 0.0) -> int:
@@ -296,11 +263,7 @@ def for_loader(model: RobotModel, folder: Path) -> RobotModel:
 
 
 def _seen_shape(shape: Shape, folder: Path) -> Shape:
-    match shape:
-        case Cylinder(radius, length):
-            return Mesh(str(folder / _CYLINDER), "", (radius, radius, length))
-        case _:
-            return shape
+    return Mesh(str(folder / _CYLINDER), "", (shape.radius, shape.radius, shape.length)) if isinstance(shape, Cylinder) else shape
 
 
 def _cylinder_mesh(sides: int = 48) -> str:

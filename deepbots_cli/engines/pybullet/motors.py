@@ -154,7 +154,7 @@ def _in_link(client: int, owner: Body, index: int) -> Pusher:
     origin = frames.rotate(back, frames.scaled(centre, -1.0))
     force_it, turn_it, mode = p.applyExternalForce, p.applyExternalTorque, p.LINK_FRAME
     straight = back == frames.IDENTITY_ROTATION
-    refresh = _refresher(client, number, index)
+    refresh = (lambda: None) if index == BASE_LINK else partial(p.getLinkState, number, index, 0, 1, client)
 
     def push(force: Triple, torque: Triple) -> None:
         refresh()
@@ -179,7 +179,3 @@ def _in_world(client: int, owner: Body, index: int) -> Pusher:
             turn_it(number, index, torque, mode, client)
 
     return push
-
-
-def _refresher(client: int, number: int, index: int) -> Callable[[], object]:
-    return (lambda: None) if index == BASE_LINK else partial(p.getLinkState, number, index, 0, 1, client)

@@ -146,22 +146,16 @@ class ReadCache:
 
         Asking costs 0.07 us, so it is for what takes several times as long.
         """
-        if key not in self._readers:
-            self._readers[key] = _cached_reader(self.generation, read)
-        return self._readers[key]
+        now, moment, value = self.generation, -1, None
 
+        def reader() -> R | None:
+            nonlocal moment, value
+            if moment != now[0]:
+                value = read()
+                moment = now[0]
+            return value
 
-def _cached_reader(now: list[int], read: Callable[[], R]) -> Callable[[], R]:
-    moment, value = -1, None
-
-    def reader() -> R | None:
-        nonlocal moment, value
-        if moment != now[0]:
-            value = read()
-            moment = now[0]
-        return value
-
-    return reader  # type: ignore[return-value]
+        return self._readers.setdefault(key, reader)
 
 
 def joints(client: int, number: int, indices: tuple[int, ...], read_cache: ReadCache) -> JointReader:
@@ -191,7 +185,13 @@ def velocity(client: int, owner: Body, index: int, read_cache: ReadCache) -> Vel
 def motion(client: int, owner: Body, index: int, read_cache: ReadCache) -> MotionReader:
     number = owner.number
     if index != BASE_LINK:
-        return read_cache.cached(("motion", number, index), _link_motion(partial(p.getLinkState, number, index, 1, 1, client)))
+        read_link = partial(p.getLinkState, number, index, 1, 1, client)
+
+        def of_link() -> Motion:
+            centre, _, _, _, origin, turned, linear, angular = read_link()
+            return (origin, turned), (frames.add(linear, frames.cross(angular, frames.subtract(origin, centre))), angular)
+
+        return read_cache.cached(("motion", number, index), of_link)
     read_velocity = partial(p.getBaseVelocity, number, client)
     if owner.is_centred:
         read_pose = partial(p.getBasePositionAndOrientation, number, client)
@@ -215,14 +215,6 @@ def _root_frames(client: int, owner: Body, read_cache: ReadCache) -> Callable[[]
         return centre, owner.origin_pose(centre, turned)
 
     return read_cache.cached(("placed", owner.number), placed)
-
-
-def _link_motion(read: Callable[[], tuple[Any, ...]]) -> MotionReader:
-    def of_origin() -> Motion:
-        centre, _, _, _, origin, turned, linear, angular = read()
-        return (origin, turned), (frames.add(linear, frames.cross(angular, frames.subtract(origin, centre))), angular)
-
-    return of_origin
 
 
 # Parameters
@@ -333,9 +325,6 @@ class Parameters:
 
 def contact_parameters(friction: Friction) -> dict[str, float]:
     """By PyBullet's names. The friction of a pair is a product, so silence means 1 for `lateral`, and 0 for the others."""
-    return {
-        "lateralFriction": 1.0 if friction.lateral is None else friction.lateral,
-        "spinningFriction": friction.spinning or 0.0,
-        "rollingFriction": friction.rolling or 0.0,
-        "restitution": friction.restitution or 0.0,
-    }
+    lateral = 1.0 if friction.lateral is None else friction.lateral
+    others = (friction.spinning or 0.0, friction.rolling or 0.0, friction.restitution or 0.0)
+    return dict(zip(_CONTACT_PARAMETERS.values(), (lateral, *others), strict=True))

@@ -150,7 +150,11 @@ class Rays:
         }
 
     def reader(self, body: Body, index: int, rays: Sequence[Frame], reach: float) -> RayReader:
-        starts, ends = _in_frame_of_inertia(body.dynamics(index).inertia_frame, rays, reach)
+        centre, principal = body.dynamics(index).inertia_frame
+        back = frames.inverse(principal)
+        ends = [frames.add(origin, frames.rotate(turned, (reach, 0.0, 0.0))) for origin, turned in rays]
+        points = ([origin for origin, _ in rays], ends)
+        starts, ends = ([frames.rotate(back, frames.subtract(point, centre)) for point in each] for each in points)
         cast = partial(
             p.rayTestBatch,
             starts,
@@ -189,17 +193,6 @@ class Rays:
                 mask = ALL_BUT_STATIC if name in body.static_links else ALL_GROUPS
                 p.setCollisionFilterGroupMask(body.number, index, 1 << place, mask, self._client)
         return self._groups[body.number]
-
-
-def _in_frame_of_inertia(inertia: Frame, rays: Sequence[Frame], reach: float) -> tuple[list[Triple], list[Triple]]:
-    back = frames.inverse(inertia[1])
-    starts: list[Triple] = []
-    ends: list[Triple] = []
-    for origin, turned in rays:
-        end = frames.add(origin, frames.rotate(turned, (reach, 0.0, 0.0)))
-        for points, point in ((starts, origin), (ends, end)):
-            points.append(frames.rotate(back, frames.subtract(point, inertia[0])))
-    return starts, ends
 
 
 @dataclass(frozen=True)
