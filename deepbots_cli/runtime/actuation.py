@@ -346,7 +346,11 @@ class Thrust:
         """Take the strength as it is now, and forget all commands."""
         strength = self.strength
         strengths = [strength] * len(self._rotors) if isinstance(strength, (int, float)) else strength
-        self._effects = [_effect(rotor, max(0.0, each)) for rotor, each in zip(self._rotors, strengths, strict=True)]
+        self._effects: list[tuple[str, Triple, Triple]] = []
+        """The link of each rotor, and force and torque on it per thrust that is commanded."""
+        for (carrier, place, axis, moment_constant), each in zip(self._rotors, strengths, strict=True):
+            force = frames.scaled(axis, max(0.0, each))
+            self._effects.append((carrier, force, frames.add(frames.cross(place, force), frames.scaled(force, moment_constant))))
         self._loads: list[tuple[Pusher, Triple, Triple]] = []
         self.response.reset()
 
@@ -372,13 +376,6 @@ class Thrust:
                 ty += thrust * by
                 tz += thrust * bz
         return (fx, fy, fz), (tx, ty, tz)
-
-
-def _effect(rotor: Rotor, strength: float) -> tuple[str, Triple, Triple]:
-    """Force and torque on its link per thrust that is commanded."""
-    carrier, place, axis, moment_constant = rotor
-    force = frames.scaled(axis, strength)
-    return carrier, force, frames.add(frames.cross(place, force), frames.scaled(force, moment_constant))
 
 
 Draw = Callable[[], tuple[Triple, Triple, float, float]]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from deepbots_cli.errors import EngineError, EvaluationError
 from deepbots_cli.port import BatchEngine
 from deepbots_cli.program.robots import Direction, Sensor
-from deepbots_cli.runtime.columns import BatchMemory
+from deepbots_cli.runtime.columns import BatchMemory, stacked
 from deepbots_cli.runtime.devices import BatchDevice, stack_worlds
 from deepbots_cli.runtime.messages import LossyChannel
 from deepbots_cli.runtime.spaces import by_part, frame_indices, joined
@@ -93,7 +93,7 @@ def _rows(argument: Any, count: int) -> list[Any]:
     if isinstance(argument, np.ndarray):
         return list(argument.T.tolist())
     if isinstance(argument, (tuple, list)):
-        return list(np.stack([np.broadcast_to(part, count) for part in argument], axis=1).tolist())
+        return list(stacked(argument, count).T.tolist())
     return [argument] * count
 
 
@@ -185,7 +185,7 @@ class _BatchPart:
 def columns_array(value: Any, count: int) -> Column:
     """A column or a vector of columns as an array that can be written."""
     if isinstance(value, (tuple, list)):
-        return np.stack([np.broadcast_to(part, count) for part in value])
+        return stacked(value, count)
     return np.array(np.broadcast_to(value, (*np.shape(value)[:-1], count)))
 
 
@@ -536,8 +536,7 @@ class BatchSupervisor(_BatchPart, ABC):
         assert goal is not None
         low, high = (np.array(ends * 2)[:, None] for ends in (goal.low, goal.high))
         middle, half = (high + low) / 2, (high - low) / 2
-        values = np.stack([np.broadcast_to(value, self.count) for value in (*achieved, *desired)])
-        seen = np.clip((values - middle) / half, -1.0, 1.0).astype(np.float32)
+        seen = np.clip((stacked((*achieved, *desired), self.count) - middle) / half, -1.0, 1.0).astype(np.float32)
         self.goal = self._where_running(seen, self.goal)
         meant = middle + half * self.goal.astype(float)
         return meant[: self._size], meant[self._size :]

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Iterable, Sequence
-from functools import reduce
+from collections.abc import Callable, Sequence
+from functools import partial, reduce
 from itertools import repeat
 from typing import TYPE_CHECKING, Any
 
@@ -44,12 +44,7 @@ def maximum(*values: Any) -> Any:
     return reduce(np.maximum, values)
 
 
-def any_of(values: Iterable[Any]) -> Any:
-    return reduce(np.logical_or, values)
-
-
-def all_of(values: Iterable[Any]) -> Any:
-    return reduce(np.logical_and, values)
+any_of, all_of = partial(reduce, np.logical_or), partial(reduce, np.logical_and)
 
 
 class ExactFunction:
@@ -143,7 +138,7 @@ class BatchMemory:
     def update(self, *arguments: Any) -> Any:
         """The value in this timestep; vectors where the function has one memory per component."""
         count, worlds = self._kept.shape
-        parts = [_stacked(argument, count, worlds) if self._vector else np.asarray(argument) for argument in arguments]
+        parts = [stacked(argument, worlds) if self._vector else np.asarray(argument) for argument in arguments]
         law, chosen = self._law, self._chosen()
         before = self._kept
         if self._waiting is not None:
@@ -158,6 +153,6 @@ class BatchMemory:
         return value if self._vector else np.broadcast_to(value, (count, worlds))[0]
 
 
-def _stacked(columns: Any, count: int, worlds: int) -> Column:
-    """A vector as an array with a row per component."""
+def stacked(columns: Any, worlds: int) -> Column:
+    """A vector of columns as an array with a row per component."""
     return columns if isinstance(columns, np.ndarray) else np.stack([np.broadcast_to(column, worlds) for column in columns])

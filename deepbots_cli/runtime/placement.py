@@ -387,17 +387,12 @@ def random_spots(area: Area, count: int, generator: np.random.Generator) -> list
 
 
 def shuffled_grid_spots(area: Area, within: Area, mesh: float, generator: np.random.Generator) -> list[Spot]:
-    """The middles of the cells of an area that lie within another, in random order."""
-    middles = grid_spots(area, mesh)
-    drawn = [middles[index] for index in generator.permutation(len(middles))]
-    return [(x, y) for x, y in drawn if _contains(within, x, y)]
-
-
-def grid_spots(area: Area, mesh: float) -> list[Spot]:
-    """The middles of the cells of size `mesh` that fit into an area, about its middle, row by row."""
+    """The middles of the cells of size `mesh` that fit into an area, about its middle, and lie within another; in random order."""
     columns, rows = (max(1, int((area[axis + 2] - area[axis]) / mesh + 1e-9)) for axis in (0, 1))
     x, y = (area[0] + area[2]) / 2, (area[1] + area[3]) / 2
-    return [(x + (i - (columns - 1) / 2) * mesh, y + (j - (rows - 1) / 2) * mesh) for j in range(rows) for i in range(columns)]
+    middles = [(x + (i - (columns - 1) / 2) * mesh, y + (j - (rows - 1) / 2) * mesh) for j in range(rows) for i in range(columns)]
+    drawn = [middles[index] for index in generator.permutation(len(middles))]
+    return [(x, y) for x, y in drawn if _contains(within, x, y)]
 
 
 class Forms:

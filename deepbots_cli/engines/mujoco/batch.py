@@ -28,7 +28,7 @@ from deepbots_cli.engines.mujoco.model import HIDDEN_GROUP, Body, ModelBuilder, 
 from deepbots_cli.engines.mujoco.state import FULL_STATE, VARIED_ARRAYS
 from deepbots_cli.engines.mujoco.surfaces import ELLIPSOID, MAX_CLEARANCE_M
 from deepbots_cli.errors import EngineError
-from deepbots_cli.port import SERVO_TIME, EngineProxy
+from deepbots_cli.port import EngineProxy
 from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
@@ -581,7 +581,7 @@ class MuJoCoBatch:
         key = kind, numbers, stiffness is None
         if key not in self.motors:
             is_servo = kind == "position" and stiffness is None
-            rate = 1.0 / max(SERVO_TIME, self.nominal.opt.timestep) if is_servo else 0.0
+            rate = motors.servo_rate(self.nominal) if is_servo else 0.0
             made = TrackingMotor(self, numbers, rate) if kind == "velocity" or is_servo else BatchMotor(self, numbers)
             for other in self.motors.values():
                 if not set(other.joints).isdisjoint(numbers):
@@ -755,7 +755,7 @@ class BatchMotor:
 
 
 class TrackingMotor(BatchMotor):
-    """A velocity motor, or a servo with a `rate` (1/s); see `motors.Motor.velocity_writer`, which computes the same for one world."""
+    """A velocity motor, or a servo with a `rate` (1/s); see `motors.Motor.tracking_writer`, which computes the same for one world."""
 
     is_soft = True
 

@@ -166,14 +166,15 @@ class MuJoCoEngine:
     # Motors
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        return self._motor(robot, joints, max_torque).velocity_writer()
+        return self._motor(robot, joints, max_torque).tracking_writer()
 
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return self._motor(robot, joints, max_torque).torque_writer()
 
     def position_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain) -> MotorWriter:
         motor = self._motor(robot, joints, max_torque)
-        return motor.servo_writer() if stiffness is None else motor.spring_writer(stiffness, damping)
+        rate = motors.servo_rate(self._world.model)
+        return motor.tracking_writer(rate) if stiffness is None else motor.spring_writer(stiffness, damping)
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
         return self._pool(part[0]).bind_current(lambda body: motors.pusher(self._world, _link(body, part[1]), frame))

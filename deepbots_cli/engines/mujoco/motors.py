@@ -125,25 +125,15 @@ class Motor:
 
         return write
 
-    def velocity_writer(self) -> MotorWriter:
-        """The torque is `gain * (target - velocity)` with the velocity at the end of each engine step.
+    def tracking_writer(self, rate: float = 0.0) -> MotorWriter:
+        """A velocity motor, or with a `rate` (1/s) a servo: the target velocity is then the error times the rate.
 
+        The torque is `gain * (target - velocity)` with the velocity at the end of each engine step.
         That is the torque by the velocity at its beginning, and `gain * step` more inertia: the motor is stable however light its joint is,
         and the solver of contacts knows of it. A gain is such that the limit is exerted at the present error, or, close to the target, at
         a tenth of the target; then the motor does not overshoot. It is renewed in each engine step while the joint needs several of them
-        to reach the target: else the torque would fall below the limit as the joint speeds up.
+        to reach the target: else the torque would fall below the limit as the joint speeds up, and a servo would swing.
         """
-        return self._tracking_writer(0.0)
-
-    def servo_writer(self) -> MotorWriter:
-        """A velocity motor whose target is the error over `SERVO_TIME`.
-
-        Without renewed gains it would swing.
-        """
-        return self._tracking_writer(1.0 / max(SERVO_TIME, self._world.model.opt.timestep))
-
-    def _tracking_writer(self, rate: float) -> MotorWriter:
-        """A velocity motor, or a servo with a `rate` (1/s)."""
         data, model = self._world.data, self._world.model
         step, renewed = model.opt.timestep, self._motors.gain_updates
         velocity, position = array_reader(data.qvel, self._dof_index), array_reader(data.qpos, self._position_index)
@@ -192,6 +182,11 @@ class Motor:
                 renewed.pop(self, None)
 
         return write
+
+
+def servo_rate(model: Any) -> float:
+    """What share of its error a servo takes away per s."""
+    return 1.0 / max(SERVO_TIME, model.opt.timestep)  # type: ignore[no-any-return]
 
 
 def velocity_gains(targets: Sequence[float], velocities: Sequence[float], bounds: Sequence[tuple[float, float, float]]) -> list[float]:
