@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from math import inf, isfinite
-from typing import TYPE_CHECKING, Literal, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Literal, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -53,64 +53,33 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-class SubstepCallbacks:
-    """Acts, then drives (motors that renew their torque), then one step of physics, then watches.
+class Substeps(NamedTuple):
+    """What is called in a step: `begins` once, then in each engine step `acts`, `drives`, the physics, and `looks`.
 
-    Drives come after acts, so that they see the targets that those have just set.
+    Drives are motors that renew their torque. They see the targets that acts have just set.
     """
 
-    def __init__(self, cache: ReadCache) -> None:
-        self._cache = cache
-        self._at_step_start: list[Callback] = []
-        self._actions: list[Callback] = []
-        self._drives: list[Callback] = []
-        self._before_substep: list[Callback] = []
-        self._after_substep: list[Callback] = []
+    begins: list[Callback]
+    acts: list[Callback]
+    drives: list[Callback]
+    looks: list[Callback]
 
-    def add_action(self, act: Callback) -> None:
-        self._actions.append(act)
-        self._arrange()
-
-    def add_monitor(self, begin: Callback, look: Callback) -> None:
-        """`begin` is called once per `step`, before everything else."""
-        self._at_step_start.append(begin)
-        self._after_substep.append(look)
-
-    def set_drives(self, drives: list[Callback]) -> None:
-        """Replace all drives by these."""
-        self._drives = drives
-        self._arrange()
-
-    def replace_all(self, act: Callback) -> None:
-        """Call only `act`, and no other function or drive."""
-        self._actions, self._drives = [act], []
-        self._at_step_start.clear()
-        self._cache.invalidate()
-        self._arrange()
-
-    def _arrange(self) -> None:
-        self._before_substep[:] = [*self._actions, *self._drives]
-
-    def stepper(self, client: int) -> Callable[[int], None]:
-        """`Engine.step`. In most worlds nothing acts or watches; asking costs 1 % of the cheapest step."""
-        advance, before, after, begins, now = (
-            p.stepSimulation,
-            self._before_substep,
-            self._after_substep,
-            self._at_step_start,
-            self._cache.generation,
-        )
+    def stepper(self, client: int, now: list[int]) -> Callable[[int], None]:
+        """`Engine.step`. In most worlds nothing acts or looks; asking costs 1 % of the cheapest step. `now` counts states of the world."""
+        advance, (begins, acts, drives, looks) = p.stepSimulation, self
 
         def step(substeps: int) -> None:
-            if before or after:
+            if acts or drives or looks:
                 for begin in begins:
                     begin()
                 for _ in range(substeps):
-                    for act in before:
+                    for act in acts:
                         act()
+                    for drive in drives:
+                        drive()
                     advance(client)
                     now[0] += 1
-                    for look in after:
+                    for look in looks:
                         look()
             else:
                 for _ in range(substeps):
@@ -129,9 +98,9 @@ class PyBulletEngine:
     def __init__(self, world: WorldModel) -> None:
         self._client = loading.create_client(world)
         self._cache = ReadCache()
-        self._substeps = SubstepCallbacks(self._cache)
-        self._release = weakref.finalize(self, _release, self._client, self._substeps)
-        self.step = self._substeps.stepper(self._client)
+        self._substeps = Substeps([], [], [], [])
+        self._release = weakref.finalize(self, _release, self._client, self._substeps, self._cache)
+        self.step = self._substeps.stepper(self._client, self._cache.generation)
         self._timestep = world.timestep / world.substeps
         self._floor = Floor(world.ground.colour, world.lines) if world.ground and not world.terrain else None
         self._springs: dict[tuple[int, tuple[int, ...]], motors.Springs] = {}
@@ -210,7 +179,7 @@ class PyBulletEngine:
         return self._parameters.gravity
 
     def before_substep(self, act: Callable[[], object]) -> None:
-        self._substeps.add_action(act)
+        self._substeps.acts.append(act)
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
         return self._bound(part, lambda body, index: motors.pusher(self._client, body, index, frame))
@@ -264,7 +233,8 @@ class PyBulletEngine:
     def _contact_monitor(self, body: Body) -> surfaces.ContactMonitor:
         if body.number not in self._contact_monitors:
             watch = self._contact_monitors[body.number] = surfaces.ContactMonitor(self._client, body.number)
-            self._substeps.add_monitor(watch.reset, watch.update)
+            self._substeps.begins.append(watch.reset)
+            self._substeps.looks.append(watch.update)
         return self._contact_monitors[body.number]
 
     def require_finite(self) -> None:
@@ -303,7 +273,7 @@ class PyBulletEngine:
             return motors.position_motor(self._client, body, indices, max_torque, self._timestep)
         springs = motors.Springs(self._client, body, indices, self.joint_states(robot, joints), max_torque, stiffness, damping)
         self._springs[body, indices] = springs
-        self._substeps.set_drives([each.apply for each in self._springs.values()])
+        self._substeps.drives[:] = [each.apply for each in self._springs.values()]
         return springs.set_targets
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
@@ -359,9 +329,12 @@ def _index(body: Body, link: str | None, none: int = BASE_LINK) -> int:
     return none if link is None else find(body.links, link, f"'{body.name}' has no link")
 
 
-def _release(client: int, substeps: SubstepCallbacks) -> None:
+def _release(client: int, substeps: Substeps, cache: ReadCache) -> None:
     p.disconnect(client)
-    substeps.replace_all(_raise_closed)  # another world may get this client's number
+    for callbacks in substeps:
+        callbacks.clear()
+    substeps.acts.append(_raise_closed)  # another world may get this client's number
+    cache.invalidate()
 
 
 def _raise_closed() -> None:
