@@ -9,15 +9,15 @@ from __future__ import annotations
 import re
 from collections.abc import Container, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
-from deepbots_cli.codegen.text import LOOP_VARIABLES, Constants, Names, quoted, tuple_code, with_comment
+from deepbots_cli.codegen.text import LOOP_VARIABLES, quoted, tuple_code, with_comment
 from deepbots_cli.expressions.functions import FUNCTIONS, Family, rotation
-from deepbots_cli.expressions.lower import SCALAR, Code, Target, number_code, operation_code
+from deepbots_cli.expressions.lower import SCALAR, Code, number_code, operation_code
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, NamedFloat, Op, Scalar, State, is_drawn
 
 if TYPE_CHECKING:
-    from deepbots_cli.codegen.workspace import ReaderKeys, Readers
+    from deepbots_cli.codegen.workspace import ClassPrinter, ReaderKeys
 
 NO_SETTABLE: Mapping[int, str] = MappingProxyType({})
 NO_RENAMED: Mapping[str, str] = MappingProxyType({})
@@ -43,25 +43,6 @@ class Column(NamedTuple):
         return f"[a{self.item} for a in {self.code}]" if self.item else self.code
 
 
-class MethodContext(Protocol):
-    """The class that a method is printed for: what its names mean, and what its methods share."""
-
-    target: Target
-    names: Names
-    constants: Constants
-    readers: Readers
-    memories: dict[str, str]
-    """How each memory is made, by its attribute."""
-    begun_by_message: Container[tuple[str, str]]
-    """The calls of stateful functions whose memories begin with the first message, and not at the reset."""
-
-    def scalar(self, leaf: Name | EngineRead, needs: ReaderKeys) -> str:
-        """The code of one number."""
-
-    def vector(self, leaves: Sequence[Name]) -> str | None:
-        """The code of a vector that consists of these components; None where they are of no one vector."""
-
-
 class Printer:
     """Lines of Python for one method body.
 
@@ -70,7 +51,7 @@ class Printer:
     """
 
     def __init__(
-        self, context: MethodContext, *, settable: Mapping[int, str] = NO_SETTABLE, renamed: Mapping[str, str] = NO_RENAMED
+        self, context: ClassPrinter, *, settable: Mapping[int, str] = NO_SETTABLE, renamed: Mapping[str, str] = NO_RENAMED
     ) -> None:
         self.lines: list[str] = []
         self.context = context

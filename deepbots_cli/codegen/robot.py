@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Sequence
 
 from deepbots_cli import frames
 from deepbots_cli.codegen.printer import Printer, outer_states
 from deepbots_cli.codegen.text import (
     Constants,
-    Names,
     block,
     class_name,
     constants_tuple_code,
@@ -20,7 +19,7 @@ from deepbots_cli.codegen.text import (
     targets_code,
     tuple_code,
 )
-from deepbots_cli.codegen.workspace import ReaderKeys, Readers, root_links, whole_vector
+from deepbots_cli.codegen.workspace import ClassPrinter, ReaderKeys, whole_vector
 from deepbots_cli.compiler.robots import rigid_root
 from deepbots_cli.expressions.lower import SCALAR, Target
 from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, Op, Scalar, State, names_in, walk
@@ -39,23 +38,18 @@ class {name}({base}):
 """
 
 
-class ControllerPrinter:
+class ControllerPrinter(ClassPrinter):
     """Prints the controller of one robot."""
 
     def __init__(self, scenario: Program, robot: Robot, constants: Constants, target: Target = SCALAR) -> None:
-        self._scenario = scenario
+        super().__init__(scenario, constants, target)
         self._robot = robot
-        self.target = target
-        self.names = Names()
-        self.constants = constants
-        self.memories: dict[str, str] = {}
-        self.readers = Readers(self.names, constants, root_links(scenario), on_columns=target is not SCALAR)
         self._received = {entry.name: entry.components for entry in robot.received}
         self._sensors = {sensor.name: sensor for sensor in robot.sensors}
         self._devices = sampled_sensors(scenario, robot)
         self._emitted = [[self._resolved(value) for value in entry.scalars] for entry in robot.emitted]
         self._applied = [[self._resolved(value) for value in entry.scalars] for entry in robot.commands]
-        self.begun_by_message: Container[tuple[str, str]] = robot.begun_by_message
+        self.begun_by_message = robot.begun_by_message
         for actuator in robot.actuators:
             if isinstance(actuator, Motor):
                 constants.name_strings(f"{robot.name}_{actuator.name}", actuator.joints)
@@ -68,17 +62,16 @@ class ControllerPrinter:
         on_floats = self.target is SCALAR
         resetting = self._reset()
         methods = [*(resetting if on_floats else []), *self._observe(), *self._use_message_data(), *self._create_message()]
-        writers = ActuatorBindings(self._scenario, robot, self.constants).bind_lines(on_columns=not on_floats)
+        writers = ActuatorBindings(self.scenario, robot, self.constants).bind_lines(on_columns=not on_floats)
         kept = [f"emitted_{self.names(entry.name)}" for entry in robot.emitted] if self._keeps_state and not on_floats else []
         devices = [f"self.sense_{name} = self.device({quoted(name)})" for name in self._devices]
-        memories = [f"self.{name} = {code}" for name, code in self.memories.items()]
         return fill_template(
             _CLASS,
             name=controller_name(robot),
             base="RobotController" if on_floats else "BatchController",
             state=[f"STATE = {quoted_tuple(kept)}", ""] if kept else [],
             doc=docstring(f"Robot `{robot.name}`: emits {emitted}; drives {driven}."),
-            binding=[*self.readers.bind_lines(), *devices, *memories, *writers] or ["pass"],
+            binding=[*self.bind_lines(*devices), *writers] or ["pass"],
             methods=methods,
         )
 

@@ -81,7 +81,7 @@ def print_batch_supervisor(scenario: Program, constants: Constants) -> list[str]
         doc=docstring(scenario.summary or scenario.name),
         tables=[*tables, ""] if tables else [],
         state=[*([f"STATE = {quoted_tuple(tuple(supervisor.state))}"] if supervisor.state else []), f"TERMS = {quoted_tuple(terms)}", ""],
-        binding=[*_bind_robots(supervisor), *supervisor.readers.bind_lines(), *supervisor.memory_lines()],
+        binding=[*_bind_robots(supervisor), *supervisor.bind_lines()],
         methods=methods,
     )
 
@@ -129,9 +129,7 @@ def _bind(supervisor: SupervisorPrinter) -> list[str]:
     lines += ["self.bodies = Arrangement(self.scenario, engine)"] if arranged else []
     if supervisor.readers.needs_paths:
         lines.append(f"self.ways = Ways(self.scenario, engine{', self.bodies' if arranged else ''})")
-    return [*lines, *supervisor.readers.bind_lines(), *supervisor.memory_lines(), *bind_pushes(supervisor), *bind_foreign(supervisor)] or [
-        "pass"
-    ]
+    return [*lines, *supervisor.bind_lines(), *bind_pushes(supervisor), *bind_foreign(supervisor)] or ["pass"]
 
 
 # The paper's methods, which read what `_observe` left and change nothing

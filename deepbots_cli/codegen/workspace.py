@@ -6,6 +6,7 @@ called once in each method that needs it, however many numbers are taken from it
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from copy import copy
 from typing import NamedTuple
@@ -201,12 +202,40 @@ def _part(name: str) -> str:
     return f"({quoted(body)}, {quoted(link) if link else None})"
 
 
-# What the methods of a supervisor share
+# What the methods of a class share
+
+
+class ClassPrinter(ABC):
+    """A class that is printed: what its names mean, and what its methods share."""
+
+    begun_by_message: Container[tuple[str, str]] = ()
+    """The calls of stateful functions whose memories begin with the first message, and not at the reset."""
+
+    def __init__(self, scenario: Program, constants: Constants, target: Target) -> None:
+        self.scenario, self.constants, self.target = scenario, constants, target
+        self.names = Names()
+        self.memories: dict[str, str] = {}
+        """How each memory is made, by its attribute."""
+        roots = {body.name: f"{body.name}.{body.model.root}" for body in scenario.world.robots}
+        self.readers = Readers(self.names, constants, roots, on_columns=target is not SCALAR)
+
+    @abstractmethod
+    def scalar(self, leaf: Name | EngineRead, needs: ReaderKeys) -> str:
+        """The code of one number."""
+
+    @abstractmethod
+    def vector(self, leaves: Sequence[Name]) -> str | None:
+        """The code of a vector that consists of these components; None where they are of no one vector."""
+
+    def bind_lines(self, *others: str) -> list[str]:
+        """Statements that bind readers, the `others`, and statements that make the memories of stateful functions."""
+        return [*self.readers.bind_lines(), *others, *(f"self.{name} = {code}" for name, code in self.memories.items())]
+
 
 _GOAL = ("achieved", "desired", "goal_reached")
 
 
-class SupervisorPrinter:
+class SupervisorPrinter(ClassPrinter):
     """One per printed supervisor.
 
     `evaluated` are the expressions of every timestep; `sent` are those of messages to robots, with values of the
@@ -214,17 +243,12 @@ class SupervisorPrinter:
     """
 
     def __init__(self, scenario: Program, constants: Constants, target: Target = SCALAR) -> None:
-        self.scenario, self.agent = scenario, scenario.agent
-        self.target = target
+        super().__init__(scenario, constants, target)
+        self.agent = scenario.agent
         self.per_world: dict[str, list[str]] = {}
         """For a batch: the lines of methods that draw values in a single world, by their names."""
         self.state: dict[str, None] = {}
         """The attributes that hold drawn values and values of the timestep before, in order of first use."""
-        self.names = Names()
-        self.constants = constants
-        self.memories: dict[str, str] = {}
-        self.begun_by_message: Container[tuple[str, str]] = ()
-        self.readers = Readers(self.names, constants, root_links(scenario), on_columns=target is not SCALAR)
         self.choices = self.agent.choices
         self.ranges = self.agent.ranges
         evaluated: list[Scalar] = [value for entry in scenario.signals for value in entry.scalars]
@@ -351,10 +375,6 @@ class SupervisorPrinter:
     def printer(self) -> Printer:
         return Printer(self, settable=self.settable)
 
-    def memory_lines(self) -> list[str]:
-        """Statements that make the memories of stateful functions."""
-        return [f"self.{name} = {code}" for name, code in self.memories.items()]
-
     # What the names in expressions mean
 
     def scalar(self, leaf: Name | EngineRead, needs: ReaderKeys) -> str:
@@ -416,7 +436,3 @@ def whole_vector(leaves: Sequence[Name], components: Mapping[str, Sequence[str]]
 def zeros(components: Sequence[str]) -> str:
     """The code of 0, once for each component."""
     return ("(0.0,)" if len(components) == 1 else f"(0.0,) * {len(components)}") if components else "0.0"
-
-
-def root_links(scenario: Program) -> dict[str, str]:
-    return {body.name: f"{body.name}.{body.model.root}" for body in scenario.world.robots}
