@@ -69,7 +69,9 @@ def needs_arrangement(scenario: Program) -> bool:
     reset = scenario.reset
     drawn = reset.groups or reset.layouts or reset.require is not None
     pooled = any(thing.pooled for thing in scenario.world.objects)
-    return bool(drawn) or pooled or scenario.world.terrain is not None or any(needs_search(place) for place in reset.placements)
+    return (
+        bool(drawn) or pooled or scenario.world.terrain is not None or any(p.seeks_height or p.spot is not None for p in reset.placements)
+    )
 
 
 def _arrange(supervisor: SupervisorPrinter) -> list[str]:
@@ -146,11 +148,6 @@ def _all_zero(values: tuple[Scalar, ...]) -> bool:
 
 
 # Places
-
-
-def needs_search(place: Placement) -> bool:
-    """Whether more than its coordinates decides where the body stands."""
-    return place.seeks_height or place.spot is not None
 
 
 def _place_lines(places: Sequence[Placement], supervisor: SupervisorPrinter, printer: Printer) -> list[str]:

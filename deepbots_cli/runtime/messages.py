@@ -62,7 +62,7 @@ class FieldCodec:
         """`refuse` makes the error for a message that is not of the layout. With `format` none, messages are their values."""
         self.layout = layout
         self._refuse = refuse
-        self.silence: Any = values_by_field(layout, zero_values(layout))
+        self.silence: Any = _each(value_slots(layout), zero_values(layout))
         if format == "none":
             self.encode = self.decode = lambda message: message  # type: ignore[method-assign]
             return
@@ -118,11 +118,6 @@ def value_slots(layout: MessageLayout, start: int = 0) -> list[int | slice]:
 
 def _each(found: Sequence[int | slice], values: Sequence[Any]) -> list[Any]:
     return [values[place] for place in found]
-
-
-def values_by_field(layout: MessageLayout, values: Sequence[Any]) -> list[Any]:
-    """One value per field: a vector as the list of its components."""
-    return _each(value_slots(layout), values)
 
 
 def scalar_fields(layout: MessageLayout) -> list[tuple[str, str]]:

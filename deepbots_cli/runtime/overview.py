@@ -43,7 +43,8 @@ def extent(scenario: Program) -> list[Bounds]:
         for component, scalar in zip(each.typed.type.components or (None,), each.scalars, strict=True)
     }
     world = scenario.world
-    boxes = [*_surroundings(world), *_robots(scenario, places, parameters), *_objects(world, places, parameters)]
+    boxes = [*_surroundings(world), *_robots(scenario, places, parameters)]
+    boxes += [box for thing in world.objects for box in _object(thing, world, places, parameters)]
     if world.arena is None:
         return boxes
     x, y = (side / 2 + world.arena.wall_thickness for side in world.arena.size)  # what looks for a place stays within the walls
@@ -139,12 +140,6 @@ def _robots(scenario: Program, places: dict[str, Placement], parameters: Paramet
             box = add(box[0], (-room, -room, 0.0)), add(box[1], (room, room, room))
         low, high = _placed(box, robot.pose.xyz, places.get(robot.name), scenario.world, places, parameters)
         yield from ((add(low, shift), add(high, shift)) for shift in shifts)
-
-
-def _objects(world: WorldModel, places: dict[str, Placement], parameters: Parameters) -> Iterator[Bounds]:
-    """Objects, wherever they may stand when an episode begins."""
-    for thing in world.objects:
-        yield from _object(thing, world, places, parameters)
 
 
 def _object(thing: ObjectBody, world: WorldModel, places: dict[str, Placement], parameters: Parameters) -> Iterator[Bounds]:

@@ -79,13 +79,8 @@ class SensorErrors:
         self.spec = spec
         self.normals = Normals(width)
         self._zeros = (0.0,) * width
-        self._parameters: dict[str, Values] = {
-            "noise": spec.noise,
-            "relative_noise": spec.relative_noise,
-            "bias": spec.bias,
-            "relative_bias": spec.relative_bias,
-            "drift": spec.drift,
-        }
+        faults = ("noise", "relative_noise", "bias", "relative_bias", "drift")
+        self._parameters: dict[str, Values] = {name: getattr(spec, name) for name in faults}
         self._settle()
 
     def vary(self, fault: str, values: Values) -> None:

@@ -77,7 +77,8 @@ class Streams:
         generator = self._generators.get(name)
         if generator is None:
             own = f"{self.copy}/" if self.copy and not name.startswith("parameters.") else ""
-            seed = np.random.SeedSequence(_seed_integers(f"{self.root}/{own}{name}"))
+            digest = hashlib.sha256(f"{self.root}/{own}{name}".encode()).digest()
+            seed = np.random.SeedSequence([int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4)])
             generator = self._generators[name] = np.random.Generator(np.random.PCG64(seed))
         return generator
 
@@ -110,11 +111,6 @@ class Streams:
 
     def choice(self, name: str, *options: float) -> float:
         return self.take(name, options[int(self[name].integers(len(options)))])
-
-
-def _seed_integers(text: str) -> list[int]:
-    digest = hashlib.sha256(text.encode()).digest()
-    return [int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4)]
 
 
 def chosen_values(

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from struct import Struct
-from typing import Any, Literal, Protocol, TypeVar, runtime_checkable
+from typing import Any, Literal, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -562,17 +562,6 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 # Robot controllers
 
 
-@runtime_checkable
-class ActuatorDevice(Protocol):
-    """An actuator with a state of its own."""
-
-    def reset(self) -> None:
-        """Return to the state before the first command, in which the actuator exerts nothing."""
-
-    def hold(self) -> None:
-        """Hold the driven joints in place, as far as the actuator can."""
-
-
 class RobotController(_WithMemories):
     """Base of the generated robot classes.
 
@@ -589,12 +578,10 @@ class RobotController(_WithMemories):
         self.bind(engine)
         drives = [(actuator, getattr(self, f"drive_{actuator.name}", None)) for actuator in spec.actuators]
         found = [(actuator, drive) for actuator, drive in drives if drive is not None]
-        # Each look at a protocol takes as long as a physics step of a light robot.
         self._holds: list[Callable[[], object]] = [
-            drive.hold if isinstance(drive, ActuatorDevice) else partial(_hold, engine, spec.name, actuator, drive)
-            for actuator, drive in found
+            drive.hold if hasattr(drive, "hold") else partial(_hold, engine, spec.name, actuator, drive) for actuator, drive in found
         ]
-        self._releases = [drive.reset for _, drive in found if isinstance(drive, ActuatorDevice)]
+        self._releases = [drive.reset for _, drive in found if hasattr(drive, "hold")]  # actuators with a state of their own
 
     def bind(self, engine: Engine) -> None:
         """Take readers and writers from the engine; called once."""

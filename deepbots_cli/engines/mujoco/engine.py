@@ -64,7 +64,7 @@ class MuJoCoEngine:
 
     def reset(self) -> None:
         self._world.require_open().reset()
-        self._motors.deactivate_all()
+        self._motors.restore({}, {})
         if self._contact_monitor is not None:
             self._contact_monitor.reset()
 

@@ -36,7 +36,7 @@ class Motors:
         """What to call before each engine step for motors that their limits keep from their targets."""
         self.nominal_armature, self.nominal_inverse_inertia = world.model.dof_armature.copy(), world.model.dof_invweight0.copy()
         self.actuators = {joint: actuator for actuator, joint in enumerate(world.model.actuator_trnid[:, 0].tolist())}
-        world.state_accessors.append((lambda: (dict(self._motor_of_joint), dict(self.gain_updates)), lambda memory: self._restore(*memory)))
+        world.state_accessors.append((lambda: (dict(self._motor_of_joint), dict(self.gain_updates)), lambda memory: self.restore(*memory)))
 
     def activate(self, motor: Motor) -> None:
         """Let a motor drive its joints."""
@@ -48,10 +48,8 @@ class Motors:
             self._motor_of_joint[joint] = motor
         motor.is_active = True
 
-    def deactivate_all(self) -> None:
-        self._restore({}, {})
-
-    def _restore(self, of_joint: dict[int, Motor], renewed: dict[Motor, Callable[[], None]]) -> None:
+    def restore(self, of_joint: dict[int, Motor], renewed: dict[Motor, Callable[[], None]]) -> None:
+        """Let these motors drive joints, and no others."""
         for motor in self._motor_of_joint.values():
             motor.is_active = False
         self._motor_of_joint = dict(of_joint)
