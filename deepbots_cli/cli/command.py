@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import wraps
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -17,10 +17,6 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.commands import COMMANDS
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import UsageError
-
-if TYPE_CHECKING:
-    pass
-
 
 MAX_SEED = 2**63 - 1
 """The largest seed that a run can record."""

@@ -67,15 +67,9 @@ def triangles(mesh: Mesh) -> Any:
 
 def rigid_groups(model: RobotModel) -> dict[str, tuple[str, frames.Frame]]:
     """For each link the first link of the links that fixed joints hold together, and the pose of the link in the frame of that one."""
-    held = {joint.child: joint for joint in model.joints if joint.type == "fixed"}
-    found = {}
-    for link in model.links:
-        name, pose = link.name, frames.IDENTITY_FRAME
-        while name in held:
-            pose = frames.compose(frames.frame(held[name].origin), pose)
-            name = held[name].parent
-        found[link.name] = (name, pose)
-    return found
+    held = {joint.child for joint in model.joints if joint.type == "fixed"}
+    heads = [link.name for link in model.links if link.name not in held]
+    return {link: (head, pose) for head in heads for link, pose in objects.rigid_group(model, head).items()}
 
 
 def stroke_triangles(line: Line, height: float) -> tuple[Points, NDArray[np.int32]]:
@@ -243,8 +237,7 @@ class WorldScene:
         return node
 
     def _label(self, part: LinkName, text: str) -> None:
-        label = self._scene.add_label(f"{self._path_of(part)}/label", text, visible=False, anchor="bottom-center")
-        self._labels.append(label)
+        self._labels.append(self._scene.add_label(f"{self._path_of(part)}/label", text, visible=False, anchor="bottom-center"))
 
     def _add(self, name: str, geometry: Geometry, within: frames.Frame) -> Any:
         """A shape at its place below a node."""
