@@ -14,10 +14,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from shlex import quote
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from pydantic import BaseModel, Field, NonNegativeInt
 
@@ -333,23 +332,15 @@ class TrainingCallback:
             shares = (np.abs(observations) >= 1.0).mean(axis=(0, 1))
             for name, place in self._seen.items():
                 self.log.record(f"saturation/{name}", float(shares[place]))
-        for name, share in option_shares(self.run.program, actions).items():
-            self.log.record(f"action/{name}", share)
+        choices = self.run.program.agent.choices
+        for part, column in zip(choices, np.asarray(actions).reshape(-1, max(1, len(choices))).T, strict=False):
+            for index, option in enumerate(part.options):
+                name = f"{part.name}/{option.name}" if len(choices) > 1 else option.name
+                self.log.record(f"action/{name}", float((column == index).mean()))
 
     def on_end(self) -> None:
         self._record_scalars()
         self.log.dump(self.learner.steps)
-
-
-def option_shares(program: Program, actions: npt.NDArray[Any]) -> dict[str, float]:
-    """The share of each option in actions of shape (..., choices): `forward`, or `drive/forward` if there are several choices."""
-    choices = program.agent.choices
-    columns = np.asarray(actions).reshape(-1, max(1, len(choices)))
-    return {
-        f"{part.name}/{option.name}" if len(choices) > 1 else option.name: float((column == index).mean())
-        for part, column in zip(choices, columns.T, strict=False)
-        for index, option in enumerate(part.options)
-    }
 
 
 def check_finite(learner: Learner, run: Run) -> None:

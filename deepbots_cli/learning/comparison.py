@@ -249,11 +249,9 @@ def evaluate_group(
 
     Args:
         group: The folder of the group. Seeds without a model are left out, and named in `waiting`.
-        seed: Root seed of the starts, the same for all runs.
-        scenario: As for `evaluate`; by default that of the group.
         until: Takes the episodes so far, of all runs in turn, and returns whether they are enough. The result then holds these only.
         on_run: Is called after each run.
-        options: Further arguments of `evaluate`.
+        options: Further arguments of `evaluate`, as are `seed` and `scenario`, by default that of the group.
 
     Raises:
         RunError: The folder is no group, or none of its runs has a model; else as for `evaluate`.

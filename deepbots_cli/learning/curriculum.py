@@ -96,21 +96,17 @@ class Curriculum:
 
     def add(self, episode: Episode, steps: int, episodes: int) -> bool:
         """Count an episode of the present stage; whether the next one begins with it. `steps` and `episodes` count from the very start."""
-        until = self.criterion
-        if until is None or until.episodes is None:
-            return False
-        self._recent.append(float(episode.is_success) if until.metric == "success_rate" else episode.total_return)
-        return self._complete(until, steps, episodes)
+        return self._add(episode.total_return, float(episode.is_success), steps, episodes, of_evaluation=False)
 
     def add_evaluation(self, mean_return: float, success_rate: float, steps: int, episodes: int) -> bool:
         """Count an evaluation in the present stage; whether the next one begins after it. `steps` and `episodes` are as for `add`."""
+        return self._add(mean_return, success_rate, steps, episodes, of_evaluation=True)
+
+    def _add(self, mean_return: float, success_rate: float, steps: int, episodes: int, *, of_evaluation: bool) -> bool:
         until = self.criterion
-        if until is None or until.episodes is not None:
+        if until is None or (until.episodes is None) != of_evaluation:
             return False
         self._recent.append(success_rate if until.metric == "success_rate" else mean_return)
-        return self._complete(until, steps, episodes)
-
-    def _complete(self, until: Criterion, steps: int, episodes: int) -> bool:
         value = self.value(steps)
         if value is None or value < until.threshold:
             return False

@@ -106,8 +106,7 @@ class Learner(ABC):
             followers: The callbacks of other packages.
         """
 
-    @abstractmethod
-    def start(self) -> None:
+    def start(self) -> None:  # noqa: B027  # most learners do nothing here
         """Called before the first fragment of this process."""
 
     @abstractmethod
@@ -243,9 +242,6 @@ class ArrayLearner(Learner):
 
     def begin(self, total: int, monitor: TrainingCallback, followers: Sequence[Any] = ()) -> None:
         self._monitor = monitor
-
-    def start(self) -> None:
-        pass
 
     def collect(self) -> bool:
         collector = self.setup.collector

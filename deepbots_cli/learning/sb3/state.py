@@ -6,7 +6,7 @@ replay buffer are written once, into files that several checkpoints share.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -146,9 +146,8 @@ class ReplayFiles:
 
 def _columns(buffer: ReplayBuffer) -> dict[str, Array]:
     """The arrays of a replay buffer that have a row for each step."""
-    return {key: part for name in _BUFFER_COLUMNS if hasattr(buffer, name) for key, part in _flat(name, getattr(buffer, name))}
-
-
-def _flat(name: str, value: Any) -> Iterator[tuple[str, Array]]:
-    """An observation is an array, or a dictionary of arrays."""
-    yield from ((f"{name}/{key}", part) for key, part in value.items()) if isinstance(value, dict) else [(name, value)]
+    found: dict[str, Array] = {}
+    for name in (name for name in _BUFFER_COLUMNS if hasattr(buffer, name)):
+        value = getattr(buffer, name)
+        found |= {f"{name}/{key}": part for key, part in value.items()} if isinstance(value, dict) else {name: value}
+    return found
