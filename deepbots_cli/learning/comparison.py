@@ -251,7 +251,7 @@ def evaluate_group(
         group: The folder of the group. Seeds without a model are left out, and named in `waiting`.
         until: Takes the episodes so far, of all runs in turn, and returns whether they are enough. The result then holds these only.
         on_run: Is called after each run.
-        options: Further arguments of `evaluate`, as are `seed` and `scenario`, by default that of the group.
+        options: Further arguments of `evaluate`. `seed` and `scenario` are as there; the default is the scenario of the group.
 
     Raises:
         RunError: The folder is no group, or none of its runs has a model; else as for `evaluate`.
@@ -292,7 +292,8 @@ def _members(paths: Sequence[Path]) -> list[_GroupMembers]:
             alike = single.setdefault((run.record.digest, run.record.engine), [])
             if run.path not in [other.path for other in alike]:
                 alike.append(run)
-            found[run.record.digest, run.record.engine] = _GroupMembers(_name(alike), alike)
+            name = alike[0].path.name + (f" and {len(alike) - 1} more" if len(alike) > 1 else "")
+            found[run.record.digest, run.record.engine] = _GroupMembers(name, alike)
     groups = list(found.values())
     if len(groups) == 1:
         groups = [_GroupMembers(run.path.name, (run,)) for run in groups[0].runs]
@@ -311,12 +312,6 @@ def _open_runs(group: Group) -> _GroupMembers:
         raise RunError(f"{group.path} holds no trained run yet; train it with: deepbots train --resume {group.path}")
     waiting = tuple(seed for seed in group.record.seeds if group.run(seed) not in ready)
     return _GroupMembers(group.path.name, [Run.open(run) for run in ready], waiting)
-
-
-def _name(runs: Sequence[Run]) -> str:
-    """The name of the first run, with the number of the others."""
-    others = len(runs) - 1
-    return runs[0].path.name + (f" and {others} more" if others else "")
 
 
 def _solved_after(run: Run) -> int | None:
