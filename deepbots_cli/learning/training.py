@@ -224,7 +224,7 @@ def resume(
         return run_training(known, training, checkpoints, build, reporter(progress), before=record)
 
 
-def _training_of(program: Program, total_timesteps: int | None, callbacks: Sequence[str]) -> Training:
+def _training_of(program: Program, total_timesteps: int | None, callbacks: Sequence[str] = ()) -> Training:
     if find_spec("tensorboard") is None:  # the log would only notice with the run half made
         raise MissingExtraError("train", "training")
     if program.agent.training is None:
