@@ -75,16 +75,6 @@ class Policy:
         Raises:
             UsageError: The observation holds a value that is not finite.
         """
-        self._require_finite(observation)
-        masks = action_mask if self._model.takes_masks else None
-        rows = len(observation) if np.ndim(observation) > 1 and not isinstance(observation, dict) else 1
-        action, self._memory = self._model.predict(observation, self._memory, np.full(rows, self._begins), deterministic, masks)
-        self._begins = False
-        return action
-
-    __call__ = predict
-
-    def _require_finite(self, observation: Any) -> None:
         for part in observation.values() if isinstance(observation, dict) else (observation,):
             numbers = np.atleast_1d(part)
             wrong = np.argwhere(~np.isfinite(numbers))
@@ -92,6 +82,13 @@ class Policy:
                 place = int(wrong[0][-1])
                 name = f" of {self.observation[place].name}" if part is observation and place < len(self.observation) else ""
                 raise UsageError(f"the observation holds a value{name} that is not finite: {numbers[tuple(wrong[0])]}")
+        masks = action_mask if self._model.takes_masks else None
+        rows = len(observation) if np.ndim(observation) > 1 and not isinstance(observation, dict) else 1
+        action, self._memory = self._model.predict(observation, self._memory, np.full(rows, self._begins), deterministic, masks)
+        self._begins = False
+        return action
+
+    __call__ = predict
 
     def observe(self, values: Mapping[str, float], desired: Sequence[float] | None = None) -> Any:
         """The observation for values by name, in their units (SI); values beyond a range are clipped.

@@ -19,7 +19,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ExpectedResult, ScenarioTest
-from deepbots_cli.rollout import Driver, Episode, Start, Step, result_of, steps
+from deepbots_cli.rollout import Episode, Start, Step, result_of, steps
 from deepbots_cli.rollout.drivers import named_driver, sequence_driver
 from deepbots_cli.rollout.episode import OnEpisode
 
@@ -115,9 +115,13 @@ def _episode(environment: Supervisor, test: ScenarioTest, number: int, misses: l
     """One episode, whose `ended_by` is None if the test stops it; what it misses is added to `misses`."""
     start = Start.of_evaluation(test.seed, number)
     watches = [_ExpectationMonitor(agent, test, number) for agent in environment.agents.values()]
+    if isinstance(test.policy, str):
+        driver = named_driver(environment, test.policy)
+    else:
+        driver = sequence_driver(environment.make_action(action.choices, action.ranges) for action in test.policy)
 
     def watched() -> Iterator[Step]:
-        for step in islice(steps(environment, _driver(environment, test), start), test.steps + 1):
+        for step in islice(steps(environment, driver, start), test.steps + 1):
             for watch in watches if step.number else ():
                 watch.look(step.number)
             yield step
@@ -131,12 +135,6 @@ def _episode(environment: Supervisor, test: ScenarioTest, number: int, misses: l
     for watch in watches:
         misses += watch.misses(after.removeprefix("after "))
     return episode
-
-
-def _driver(environment: Supervisor, test: ScenarioTest) -> Driver:
-    if isinstance(test.policy, str):
-        return named_driver(environment, test.policy)
-    return sequence_driver(environment.make_action(action.choices, action.ranges) for action in test.policy)
 
 
 def _miss(expected: ExpectedResult, measured: str, episode: int, step: int | None = None) -> UnmetExpectation:

@@ -7,8 +7,8 @@ import platform
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing, nullcontext, suppress
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -306,7 +306,10 @@ def run_training(
             if run.record.initialized_from is not None:
                 learner.initialize(run.model("initial"))
             stack.enter_context(signals_handled(callback.interruption))
-            stack.enter_context(_silence_writer_threads())
+            # TensorBoard's writer raises the error of a thread that cannot write a file again, at its next call: no traceback meanwhile.
+            report_failure = threading.excepthook
+            stack.callback(setattr, threading, "excepthook", report_failure)
+            threading.excepthook = lambda failed: None if isinstance(failed.exc_value, OSError) else report_failure(failed)
             stack.callback(log.close)
             if words := stepping_text(run.program, training.environments, run.record.engine, build):
                 reporter.note(words)
@@ -350,22 +353,6 @@ def run_training(
                 write_record(run.path, before)
     stopped = callback.interruption.requested or status == "interrupted"
     return TrainingResult(run=run.path, initialized_from=run.record.initialized_from, stop_requested=stopped, **vars(result))
-
-
-@contextmanager
-def _silence_writer_threads() -> Iterator[None]:
-    """Within, a thread that cannot write a file prints no traceback: TensorBoard's writer raises the error again, at its next call."""
-    before = threading.excepthook
-
-    def ignore(failed: threading.ExceptHookArgs) -> None:
-        if not isinstance(failed.exc_value, OSError):
-            before(failed)
-
-    threading.excepthook = ignore
-    try:
-        yield
-    finally:
-        threading.excepthook = before
 
 
 def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoints) -> DeepbotsError:

@@ -279,8 +279,7 @@ class BatchWorlds(Worlds):
         build: Makes the worlds of a stage, by its number; they are closed with this.
         seeds: The seed of each.
         stages: The stage of each, which `next_seed` may change.
-        on_step: Called after the step of each row.
-        on_episode: Called after each episode of a row with the number of its world.
+        on_step, on_episode: As for `Worlds`.
         next_seed: Called before a world begins another episode; gives a seed if it begins one of another stage.
         recorder: Keeps the episodes of worlds that fail.
     """

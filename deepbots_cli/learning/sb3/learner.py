@@ -194,7 +194,8 @@ class StableLearner(Learner):
             "infos": [state.EpisodeInfo(r=encoded(info["r"]), l=encoded(info["l"])) for info in model.ep_info_buffer or ()],
             "successes": [bool(success) for success in model.ep_success_buffer or ()],
             "action_space": model.action_space.np_random.bit_generator.state,
-            **self._replay.fields(buffer),
+            "segments": self._replay.segments,
+            "replay": (0 if buffer is None else buffer.buffer_size, self._replay.offset),
         }
 
     def shared_files(self) -> Iterable[Path]:

@@ -70,27 +70,23 @@ class ReplayFiles:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._segments: list[tuple[int, int]] = []
-        self._offset = 0
-
-    def fields(self, buffer: ReplayBuffer | None) -> dict[str, Any]:
-        """The fields of `StableState`."""
-        return {"segments": self._segments, "replay": (0 if buffer is None else buffer.buffer_size, self._offset)}
+        self.segments: list[tuple[int, int]] = []
+        self.offset = 0
 
     def paths(self) -> Iterable[Path]:
-        return (self._path(*segment) for segment in self._segments)
+        return (self._path(*segment) for segment in self.segments)
 
     def _path(self, first: int, last: int) -> Path:
         return self._folder / f"{first:012d}-{last:012d}.npz"
 
     def append(self, buffer: ReplayBuffer, added: int) -> None:
         """Write the rows that are new; forget the segments of which nothing is left in the buffer."""
-        first = max(self._segments[-1][1] if self._segments else 0, added - buffer.buffer_size)
-        self._segments = [segment for segment in self._segments if segment[1] > added - buffer.buffer_size]
+        first = max(self.segments[-1][1] if self.segments else 0, added - buffer.buffer_size)
+        self.segments = [segment for segment in self.segments if segment[1] > added - buffer.buffer_size]
         if first == added:
             return
         rows = self._rows(buffer, first, added)
-        self._segments.append((first, added))
+        self.segments.append((first, added))
         self._folder.mkdir(exist_ok=True)
         path = self._path(first, added)
         write_arrays(path, {name: column[rows] for name, column in _columns(buffer).items()})
@@ -98,30 +94,30 @@ class ReplayFiles:
 
     def _rows(self, buffer: ReplayBuffer, first: int, last: int) -> Array:
         """The rows of the ring for the steps from `first` to before `last`."""
-        return (np.arange(first, last) - self._offset) % buffer.buffer_size
+        return (np.arange(first, last) - self.offset) % buffer.buffer_size
 
     def refill(self, buffer: ReplayBuffer, state: StableState, added: int, starts: Array | None, action_space: Any) -> None:
         """Read the segments in their order. A training with another goal may have a buffer of another size.
 
         `starts` are the rows in which running episodes begin, for hindsight; None where other episodes have begun.
         """
-        size, self._offset = state.replay
-        self._segments = list(state.segments)
+        size, self.offset = state.replay
+        self.segments = list(state.segments)
         same = size == buffer.buffer_size
-        oldest = max(self._segments[0][0] if self._segments else 0, added - min(size, buffer.buffer_size))
+        oldest = max(self.segments[0][0] if self.segments else 0, added - min(size, buffer.buffer_size))
         if not same:
-            self._offset = oldest
+            self.offset = oldest
         columns = _columns(buffer)
-        whole = self._segments[-1][1] == added and self._segments[0][0] <= max(self._offset, added - size) if self._segments else not added
+        whole = self.segments[-1][1] == added and self.segments[0][0] <= max(self.offset, added - size) if self.segments else not added
         if not whole:
             raise ValueError("the segments of the replay buffer are not all there")
-        for first, last in self._segments:
+        for first, last in self.segments:
             specs = {name: ArraySpec(column.dtype, (last - first, *column.shape[1:])) for name, column in columns.items()}
             read, rows = read_arrays(self._path(first, last), specs), self._rows(buffer, first, last)[-buffer.buffer_size :]
             for name, column in columns.items():
                 column[rows] = read[name][-len(rows) :]
             check_actions(read["actions"], action_space)
-        buffer.pos, buffer.full = (added - self._offset) % buffer.buffer_size, added - self._offset >= buffer.buffer_size
+        buffer.pos, buffer.full = (added - self.offset) % buffer.buffer_size, added - self.offset >= buffer.buffer_size
         if isinstance(buffer, HerReplayBuffer):
             self._find_episodes(buffer, oldest, added, begin_anew=not same)
             starts = starts if same and starts is not None else np.array(buffer.pos)
