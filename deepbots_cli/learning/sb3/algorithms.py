@@ -194,10 +194,7 @@ def check_memory(copies: int, memory: int | None = None) -> None:
     Raises:
         UsageError: They do not.
     """
-    memory = _memory() if memory is None else memory
-    needed = copies * _BYTES_PER_COPY
-    if memory is not None and needed > memory:
-        raise UsageError(f"{copies} environments need about {needed / 1e9:.1f} GB of memory, and this machine has {memory / 1e9:.1f} GB")
+    _require_memory(f"{copies} environments need about", copies * _BYTES_PER_COPY, memory)
 
 
 def check_replay(settings: Settings, space: gym.Space[Any], memory: int | None = None) -> None:
@@ -206,20 +203,17 @@ def check_replay(settings: Settings, space: gym.Space[Any], memory: int | None =
     Raises:
         UsageError: They do not.
     """
-    memory = _memory() if memory is None else memory
     steps = settings.get("buffer_size", 0)
     parts = space.spaces.values() if isinstance(space, gym.spaces.Dict) else [space]
     needed = 2 * steps * sum(math.prod(part.shape or ()) * (part.dtype or np.dtype(np.float32)).itemsize for part in parts)
+    _require_memory(f"{steps:,} remembered steps need", needed, memory, "; give 'buffer_size' under 'train'")
+
+
+def _require_memory(what: str, needed: int, memory: int | None, hint: str = "") -> None:
+    if memory is None and hasattr(os, "sysconf"):  # not on Windows
+        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     if memory is not None and needed > memory:
-        raise UsageError(
-            f"{steps:,} remembered steps need {needed / 1e9:.1f} GB of memory, and this machine has {memory / 1e9:.1f} GB; "
-            f"give 'buffer_size' under 'train'"
-        )
-
-
-def _memory() -> int | None:
-    """Bytes of this machine; None where it does not say (on Windows)."""
-    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else None
+        raise UsageError(f"{what} {needed / 1e9:.1f} GB of memory, and this machine has {memory / 1e9:.1f} GB{hint}")
 
 
 def _entry(name: str) -> type[Model]:
