@@ -13,12 +13,13 @@ from collections.abc import Mapping as Dictionary
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deepbots_cli.cli.sources import node_at, text_at
+from deepbots_cli.cli.sources import text_at
 from deepbots_cli.cli.tables import Row, formula_text
 from deepbots_cli.compiler.robots import joint_moves_link
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import render
-from deepbots_cli.document import MappingNode, Node
+from deepbots_cli.document import Node
+from deepbots_cli.document.nodes import entries_at
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children, names_in
 from deepbots_cli.footprint import resting_height, robot_bounds
 from deepbots_cli.frames import roll_pitch_yaw
@@ -280,8 +281,7 @@ def _parameters(scenario: Program, root: Node) -> list[Row]:
         reads = {often.get(leaf.name, "in every episode") for value in entry.scalars for leaf in names_in(value)}
         is_new = entry.redraw or reads - {"in every episode"}
         often[entry.name] = "repeatedly" if entry.period else "in every step" if is_new else "in every episode"
-    node = node_at(root, "parameters")
-    names = list(node.entries) if isinstance(node, MappingNode) else []
+    names = entries_at(root, "parameters")
     return [{"parameter": name, "value": text_at(root, "parameters", name), "drawn": often.get(name, "never")} for name in names]
 
 
@@ -448,8 +448,7 @@ def _observation(scenario: Program) -> list[Row]:
 
 def _reset(scenario: Program, root: Node) -> list[Row]:
     settle: list[Row] = [{"reset": "settle", "of": "everything", "to": f"{scenario.reset.settle:g} s"}] if scenario.reset.settle else []
-    sections = {section: node_at(root, "reset", section) for section in ("place", "set")}
-    entries = [(section, name) for section, node in sections.items() if isinstance(node, MappingNode) for name in node.entries]
+    entries = [(section, name) for section in ("place", "set") for name in entries_at(root, "reset", section)]
     return [{"reset": section, "of": name, "to": text_at(root, "reset", section, name)} for section, name in entries] + settle
 
 

@@ -9,7 +9,8 @@ from pathlib import Path
 from deepbots_cli import api
 from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.diagnostics.nearest import nearest_word
-from deepbots_cli.document import MappingNode, Node, Permissions, descend, files, inline_text, shipped
+from deepbots_cli.document import Node, Permissions, files, inline_text, shipped
+from deepbots_cli.document.nodes import entries_at, follow_dotted, node_at
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.learning.run import Run
@@ -30,27 +31,19 @@ class OpenedSource:
 
     def text_at(self, path: str) -> str:
         """What is written at a path, on one line; empty where nothing is. A stage of the curriculum goes by its name."""
-        node = self._written(path)
-        return inline_text(node) if node is not None else ""
+        return text_at(self._written(path))
 
     def keys_at(self, path: str) -> list[str]:
         """The keys that are written at a path."""
-        node = self._written(path)
-        return list(node.entries) if isinstance(node, MappingNode) else []
+        return list(entries_at(self._written(path)))
 
     def _written(self, path: str) -> Node | None:
         words = path.split(".")
         if words[0] == "curriculum" and len(words) > 1:
             names = [stage.name for stage in self.program.curriculum]
             return node_at(self.root, "curriculum", names.index(words[1])) if words[1] in names else None
-        # A name may hold dots: `observation.cart.pole_angle`, `reset.set.cart.pole_hinge`.
-        splits = ((*words[: first - 1], ".".join(words[first - 1 :])) for first in range(len(words), 0, -1))
-        return next((node for keys in splits if (node := node_at(self.root, *keys)) is not None), None)
-
-
-def node_at(root: Node | None, *path: str | int) -> Node | None:
-    node, _, reached = descend(root, path) if root else (None, None, 0)
-    return node if reached == len(path) else None
+        _, node, rest = follow_dotted(self.root, path) if self.root else ((), None, path)
+        return None if rest else node
 
 
 def text_at(root: Node | None, *path: str | int) -> str:

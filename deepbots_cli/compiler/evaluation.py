@@ -16,9 +16,9 @@ from deepbots_cli.compiler.namespace import Namespace, NamespaceReader, Supervis
 from deepbots_cli.compiler.policy import Decisions
 from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Findings, Label, Span
-from deepbots_cli.document import Document, Entry, MappingNode, descend
+from deepbots_cli.document import Document, Entry, MappingNode
 from deepbots_cli.document.load import apply_setting
-from deepbots_cli.document.nodes import NodePath, ScalarNode, count_and_depth, follow_dotted, without_paths
+from deepbots_cli.document.nodes import NodePath, ScalarNode, count_and_depth, entries_at, follow_dotted, without_paths
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import Constant, Context, Operation, Typed, walk
@@ -215,8 +215,7 @@ class _VariantCompiler:
 
     def program(self, word: VariantKind, name: str, path: NodePath) -> Program | None:
         """The task under the `set` at `path`; None after a finding."""
-        settings = descend(self._values.root, (*path, "set"))
-        entries = settings[0].entries.values() if settings[2] > len(path) and isinstance(settings[0], MappingNode) else ()
+        entries = entries_at(self._values.root, *path, "set").values()
         if [entry for entry in entries if self._is_fixed(entry, word)]:
             return None
         findings = Findings(self._document.findings.limit)

@@ -25,6 +25,7 @@ from deepbots_cli.document.nodes import (
     SequenceNode,
     count_and_depth,
     descend,
+    entries_at,
     follow_dotted,
     without_paths,
 )
@@ -378,10 +379,8 @@ def apply_setting(root: MappingNode, setting: Entry, findings: Findings) -> Mapp
 
 def with_settings_at(root: MappingNode, path: NodePath) -> MappingNode:
     """`root` after the settings of the evaluation case or curriculum stage at `path`."""
-    settings, _, reached = descend(root, (*path, "set"))
-    if reached > len(path) and isinstance(settings, MappingNode):
-        for entry in settings.entries.values():
-            root = apply_setting(root, entry, Findings())
+    for entry in entries_at(root, *path, "set").values():
+        root = apply_setting(root, entry, Findings())
     return root
 
 

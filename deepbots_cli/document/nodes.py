@@ -177,6 +177,18 @@ def descend(node: Node, path: NodePath) -> tuple[Node, ScalarNode | None, int]:
     return node, key, len(path)
 
 
+def node_at(root: Node | None, *path: str | int) -> Node | None:
+    """The node at `path`, if there is one."""
+    node, _, reached = descend(root, path) if root else (None, None, 0)
+    return node if reached == len(path) else None
+
+
+def entries_at(root: Node | None, *path: str | int) -> dict[str, Entry]:
+    """The entries of the mapping at `path`; none where there is no mapping."""
+    node = node_at(root, *path)
+    return node.entries if isinstance(node, MappingNode) else {}
+
+
 def follow_dotted(node: Node, dotted: str) -> tuple[NodePath, Node, str]:
     """Follow a dotted path as far as it goes: the steps taken, the node reached, and the rest of the path.
 

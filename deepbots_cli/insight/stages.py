@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from deepbots_cli.document import descend
-from deepbots_cli.document.nodes import MappingNode, inline_text
+from deepbots_cli.document.nodes import entries_at, inline_text
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
@@ -93,9 +92,7 @@ def stage_changes(t: TrainingEvidence) -> str:
         return ""
     sets: list[dict[str, str]] = []
     for place in (t.stage_index - 1, t.stage_index):
-        node, _, depth = descend(root, ("curriculum", place, "set")) if root is not None else (None, None, 0)
-        entries = node.entries if depth == 3 and isinstance(node, MappingNode) else {}
-        sets.append({name: inline_text(entry.value) for name, entry in entries.items()})
+        sets.append({name: inline_text(entry.value) for name, entry in entries_at(root, "curriculum", place, "set").items()})
     before, now = sets
     usual = "the value of the scenario"
     changed = {name: (before.get(name, usual), now.get(name, usual)) for name in {**before, **now}}

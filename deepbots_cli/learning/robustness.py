@@ -16,11 +16,11 @@ from typing import Any, Literal
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import MappingNode, Node, Permissions, ScalarNode
+from deepbots_cli.document.nodes import entries_at, node_at
 from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.program import Program
-from deepbots_cli.program.world import RobotBody
 from deepbots_cli.rollout.source import Source, SourceKind
 
 EPISODES_PER_LEVEL = 50
@@ -191,7 +191,7 @@ def changed_scenario(base: Source, change: Change, *, overrides: Sequence[str] =
     """
     # A case may replace what a change modifies, such as the ground by a terrain.
     document = base.document()
-    removed: Change = {"remove": ["evaluation.cases"]} if _node(document.root, "evaluation", "cases") is not None else {}
+    removed: Change = {"remove": ["evaluation.cases"]} if node_at(document.root, "evaluation", "cases") is not None else {}
     # A draft beside the scenario: nothing is written, and relative paths mean the same.
     path = document.path.with_name(f"{document.path.stem}.changed.yaml")
     text = json.dumps({"extends": document.path.name, **removed, **change})
@@ -257,25 +257,14 @@ def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> It
             "friction of the ground",
             [(f"x {factor:g}", {"world": {ground: {"friction": f"{factor:g} * ({own})"}}}) for factor in MASS_FACTORS],
         )
-    if any(_keys(root, "robots", robot, "actuators") for robot in _keys(root, "robots")):
+    if any(entries_at(root, "robots", robot, "actuators") for robot in entries_at(root, "robots")):
         yield "motor strength", [(f"x {factor:g}", {"robots": _strengths(root, factor)}) for factor in STRENGTH_FACTORS]
-
-
-def _node(root: Node | None, *path: str) -> Node | None:
-    for key in path:
-        root = root.get(key) if isinstance(root, MappingNode) else None
-    return root
 
 
 def _text(root: Node | None, *path: str) -> str | None:
     """The single value that is written at a path; None where nothing is."""
-    found = _node(root, *path)
+    found = node_at(root, *path)
     return found.text if isinstance(found, ScalarNode) else None
-
-
-def _keys(root: Node | None, *path: str) -> list[str]:
-    found = _node(root, *path)
-    return list(found.entries) if isinstance(found, MappingNode) else []
 
 
 def _noise(root: MappingNode, program: Program, share: float) -> Change:
@@ -292,7 +281,7 @@ def _noise(root: MappingNode, program: Program, share: float) -> Change:
         text = _text(root, "observation", name)
         if text is not None:
             change[name] = {"range": text, "noise": noise}
-        elif isinstance(_node(root, "observation", name), MappingNode):
+        elif isinstance(node_at(root, "observation", name), MappingNode):
             change[name] = {"noise": noise}
     return change
 
@@ -309,13 +298,13 @@ def _mass(root: MappingNode, program: Program, name: str | None) -> tuple[str, C
     heavy = {
         f"{body.name}.{link.name}": (link.inertial.mass, link.name in still)
         for body in program.world.robots
-        for still in [_fixed_links(body)]
+        for still in [body.model.links_below(body.model.root, rigid=True) if body.fixed_base else []]
         for link in body.model.links
         if link.inertial is not None and link.inertial.mass > 0
     }
     links = {link: mass for link, (mass, is_fixed) in heavy.items() if not is_fixed}
     fixed = {body.name for body in program.world.objects if body.fixed}
-    written = [key for key in _keys(root, "objects") if _text(root, "objects", key, "mass") is not None]
+    written = [key for key in entries_at(root, "objects") if _text(root, "objects", key, "mass") is not None]
     objects = [key for key in written if key not in fixed]
     if name is not None and name not in links and name not in objects:
         reason = (
@@ -332,14 +321,6 @@ def _mass(root: MappingNode, program: Program, name: str | None) -> tuple[str, C
     return chosen, lambda factor: _nested(path, {"mass": f"{factor:g} * ({own})"})
 
 
-def _fixed_links(body: RobotBody) -> set[str]:
-    """The links that are fixed to the world: the root of a fixed base, and what fixed joints hold to it."""
-    found = [body.model.root] if body.fixed_base else []
-    for link in found:
-        found += [joint.child for joint in body.model.joints if joint.parent == link and joint.type == "fixed"]
-    return set(found)
-
-
 def _nested(path: Sequence[str], value: Change) -> Change:
     return {path[0]: _nested(path[1:], value)} if path else value
 
@@ -350,8 +331,8 @@ def _strengths(root: MappingNode, factor: float) -> Change:
         robot: {
             "actuators": {
                 name: {"strength": f"{factor:g} * ({_text(root, 'robots', robot, 'actuators', name, 'strength') or '1'})"}
-                for name in _keys(root, "robots", robot, "actuators")
+                for name in entries_at(root, "robots", robot, "actuators")
             }
         }
-        for robot in _keys(root, "robots")
+        for robot in entries_at(root, "robots")
     }

@@ -232,6 +232,13 @@ class RobotModel:
                     waiting.append(joint.child)
         return max(reversed(list(carried)), key=carried.__getitem__)
 
+    def links_below(self, first: str, *, rigid: bool = False) -> list[str]:
+        """A link and the links that it carries; `rigid` leaves out those behind a joint that moves."""
+        found = [first]
+        for link in found:
+            found += [joint.child for joint in self.joints if joint.parent == link and (joint.type == "fixed" or not rigid)]
+        return found
+
     def subtree_mass(self) -> dict[str, float]:
         """For each link by name, the mass (kg) of the link and of everything below it."""
         mass = {link.name: link.inertial.mass if link.inertial else 0.0 for link in self.links}

@@ -18,7 +18,6 @@ from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar
 from deepbots_cli.program import Program
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import RobotBody, WorldModel
-from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.view.frames import FrameLayout, LinkName, WorldFrame
 
 Positions = Mapping[LinkName, NDArray[np.float64]]
@@ -142,17 +141,10 @@ def _parts_of_robot(robot: RobotBody, subjects: Sequence[_Subject], extents: Map
     least = _MIN_SHARE_OF_ROBOT * extents[robot.name, farthest]
     moving: dict[str, int] = {}
     for subject in subjects:
-        below = [subject.part] if subject.part in links else _links_below(robot.model, subject.part)
+        driven = [joint.child for joint in robot.model.joints if joint.name == subject.part]
+        below = [subject.part] if subject.part in links else [link for child in driven for link in robot.model.links_below(child)]
         link = max(below, key=lambda link: extents[robot.name, link], default=None)
         if link is not None and extents[robot.name, link] >= max(least, _MIN_EXTENT_M):
             moving.setdefault(link, subject.rank)
     deciding = [link for link, rank in moving.items() if rank == 0]
     return [(robot.name, link) for link in deciding or [*moving, farthest][:1]]
-
-
-def _links_below(model: RobotModel, joint: str) -> list[str]:
-    """The links that a joint moves."""
-    found = [each.child for each in model.joints if each.name == joint]
-    for link in found:
-        found += [each.child for each in model.joints if each.parent == link]
-    return found

@@ -159,10 +159,7 @@ class Build:
 
     def rigid(self, link: str) -> list[str]:
         """A link and all links that fixed joints attach to it, downwards."""
-        found = [link]
-        for name in found:
-            found += [joint.child for joint in self.model.joints if joint.parent == name and joint.type == "fixed"]
-        return found
+        return self.model.links_below(link, rigid=True)
 
     @cached_property
     def trunk(self) -> list[str]:
