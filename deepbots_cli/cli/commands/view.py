@@ -132,9 +132,10 @@ def view(
     if world >= (worlds or 1):
         reason = f"a batch of {worlds} worlds has worlds 0 to {worlds - 1}" if worlds else "add --worlds N"
         raise UsageError(f"there is no world {world}; {reason}")
+    from deepbots_cli.view.episodes import Showing
+
     engine = engine or ("mujoco" if worlds else None)
-    source = _source(shown, overrides, case, stage, engine, permissions)
-    source = replace(source, worlds=worlds or 0, start=start_values(start))
+    source = Showing(shown, overrides or (), permissions, engine, case, stage, worlds or 0, start_values(start))
     other = replace(source, reference=compare) if compare else None
     settings = {"driver": driver, "seed": seed, "episode": episode, "world": world, "watch": watch, "frame_rate": frame_rate}
     _serve(source, open_, compare=other, host=host, port=port, **settings)
@@ -165,21 +166,10 @@ def play(
 
     Next: `deepbots train SCENARIO` trains a policy.
     """
-    source = _source(shown, overrides, case, stage, engine, permissions)
-    _serve(source, open_, host=host, port=port, seed=seed, episode=episode, playing=True)
-
-
-def _source(
-    shown: str,
-    overrides: Overrides,
-    case: Case,
-    stage: Stage,
-    engine: EngineOrRun,
-    permissions: Permissions,
-) -> Showing:
     from deepbots_cli.view.episodes import Showing
 
-    return Showing(shown, overrides or (), permissions, engine, case, stage)
+    source = Showing(shown, overrides or (), permissions, engine, case, stage)
+    _serve(source, open_, host=host, port=port, seed=seed, episode=episode, playing=True)
 
 
 def _serve(source: Showing, open_: bool, **options: Any) -> None:
@@ -236,10 +226,10 @@ def picture(
     Next: `deepbots clip SCENARIO` writes a video.
     """
     from deepbots_cli.view import pictures
-    from deepbots_cli.view.episodes import closing_player
+    from deepbots_cli.view.episodes import Showing, closing_player
 
     pictures.check_target(out, (".png",), force=force)
-    source = replace(_source(shown, overrides, case, stage, engine, permissions), start=start_values(start))
+    source = Showing(shown, overrides or (), permissions, engine, case, stage, start=start_values(start))
     shot = pictures.Viewpoint(size[0], size[1], eye, target)
     with closing_player(source, driver) as world:
         trace = list(world.episode(seed, episode, None if path and not steps else steps))
@@ -281,10 +271,10 @@ def clip(
     Next: `deepbots view SCENARIO` shows it live.
     """
     from deepbots_cli.view import pictures
-    from deepbots_cli.view.episodes import closing_player
+    from deepbots_cli.view.episodes import Showing, closing_player
 
     pictures.check_target(out, pictures.SUFFIXES, force=force)
-    source = _source(shown, overrides, case, stage, engine, permissions)
+    source = Showing(shown, overrides or (), permissions, engine, case, stage)
     with closing_player(source, driver) as world, terminal.transient_line("running the episode ..."):
         frame = pictures.write_clip(
             world, out, pictures.Viewpoint(size[0], size[1], eye, target), seed=seed, episode=episode, seconds=seconds, speed=speed

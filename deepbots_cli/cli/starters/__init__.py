@@ -82,10 +82,10 @@ class Draft:
 
     def hold(self, joints: Sequence[Joint]) -> None:
         """Add motors that keep joints where they start."""
-        for unit, some in by_unit(joints):
-            group = self.group(f"held_{unit}", some)
-            pose = self.start(group, f"rest_{unit}", {joint.name: neutral(joint) for joint in some}, some)
-            self.motor(f"hold_{unit}", "position_motor", group, some, pose)
+        for kind, _, some in by_unit(joints):
+            group = self.group(f"held_{kind}", some)
+            pose = self.start(group, f"rest_{kind}", {joint.name: neutral(joint) for joint in some}, some)
+            self.motor(f"hold_{kind}", "position_motor", group, some, pose)
 
     @property
     def height(self) -> float:
@@ -185,7 +185,7 @@ def balance(draft: Draft) -> dict[str, object]:
         if tilts:
             values["place"] = draft.raised | {"pitch" if along_x else "roll": "uniform(-2 .. 2 deg)"}
     else:
-        values["pushed"] = [_add_joint_motor(draft, unit, joints) for unit, joints in by_unit(build.driven)]
+        values["pushed"] = [_add_joint_motor(draft, *entry) for entry in by_unit(build.driven)]
     if not tilts:
         values["poles"] = draft.group("poles", build.poles)
         draft.starts[str(values["poles"])] = "uniform(-1 .. 1 deg)"
@@ -194,10 +194,9 @@ def balance(draft: Draft) -> dict[str, object]:
     return values
 
 
-def _add_joint_motor(draft: Draft, name: str, joints: Sequence[Joint]) -> dict[str, object]:
+def _add_joint_motor(draft: Draft, name: str, unit: str, joints: Sequence[Joint]) -> dict[str, object]:
     """A motor on the joints of one unit; what the template says of their sensors, ranges and ends."""
     group = draft.group(name, joints)
-    unit = "m" if name == "slides" else "rad"
     top = min(1.0 if unit == "m" else 3.0, *(joint.limit.velocity or inf for joint in joints))
     draft.motor(f"drive_{name}", "velocity_motor", group, joints, f"push * {short_number(top)} {unit}/s")
     ends = [min(abs(end), 5.0) for joint in joints for end in (joint.limit.lower, joint.limit.upper) if end]
@@ -259,29 +258,27 @@ def walk(draft: Draft) -> dict[str, object]:
 def roam(draft: Draft) -> dict[str, object]:
     """Get away from where it is, by whatever joints there are."""
     build, actions = draft.build, {}
-    for unit, joints in by_unit(build.driven):
-        measure = "m" if unit == "slides" else "rad"
+    for kind, unit, joints in by_unit(build.driven):
         endless = [joint for joint in joints if joint.type == "continuous" or joint.limit.lower is None]
         if endless:
-            actions[f"spin_{unit}"] = group = draft.group(f"turning_{unit}", endless)
+            actions[f"spin_{kind}"] = group = draft.group(f"turning_{kind}", endless)
             top = min(10.0, *(joint.limit.velocity or 10.0 for joint in endless))
-            draft.motor(f"spin_{unit}", "velocity_motor", group, endless, f"spin_{unit} * {short_number(top)} {measure}/s")
+            draft.motor(f"spin_{kind}", "velocity_motor", group, endless, f"spin_{kind} * {short_number(top)} {unit}/s")
         if others := [joint for joint in joints if joint not in endless]:
-            actions[f"bend_{unit}"] = group = draft.group(f"bending_{unit}", others)
-            rest, swing = _middle(draft, group, f"rest_{unit}", others)
-            draft.motor(f"bend_{unit}", "position_motor", group, others, f"{rest} + {short_number(swing)} {measure} * bend_{unit}")
+            actions[f"bend_{kind}"] = group = draft.group(f"bending_{kind}", others)
+            rest, swing = _middle(draft, group, f"rest_{kind}", others)
+            draft.motor(f"bend_{kind}", "position_motor", group, others, f"{rest} + {short_number(swing)} {unit} * bend_{kind}")
     return {"actions": actions, "chassis": build.chassis, "place": draft.raised | {"yaw": "any"}}
 
 
 def posture(draft: Draft) -> dict[str, object]:
     """Bring the joints of a mechanism to a drawn posture."""
     moved = []
-    for unit, joints in by_unit(draft.build.driven):
-        measure = "m" if unit == "slides" else "rad"
-        group = draft.group(f"moved_{unit}", joints)
-        rest, swing = _middle(draft, group, f"rest_{unit}", joints)
-        draft.motor(f"move_{unit}", "position_motor", group, joints, f"{unit} + {short_number(0.2 * swing)} {measure} * turn_{unit}")
-        moved.append({"name": unit, "group": group, "rest": rest, "swing": swing, "unit": measure})
+    for kind, unit, joints in by_unit(draft.build.driven):
+        group = draft.group(f"moved_{kind}", joints)
+        rest, swing = _middle(draft, group, f"rest_{kind}", joints)
+        draft.motor(f"move_{kind}", "position_motor", group, joints, f"{kind} + {short_number(0.2 * swing)} {unit} * turn_{kind}")
+        moved.append({"name": kind, "group": group, "rest": rest, "swing": swing, "unit": unit})
     return {"moved": moved}
 
 
@@ -420,12 +417,10 @@ def short_number(value: float) -> str:
     return f"{value + 0.0:.3g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
-def by_unit(joints: Iterable[Joint]) -> list[tuple[str, list[Joint]]]:
-    """Joints that turn apart from joints that slide, which never share a group."""
-    units: dict[str, list[Joint]] = {"hinges": [], "slides": []}
-    for joint in joints:
-        units["slides" if joint.type == "prismatic" else "hinges"].append(joint)
-    return [(unit, some) for unit, some in units.items() if some]
+def by_unit(joints: Sequence[Joint]) -> list[tuple[str, str, list[Joint]]]:
+    """Joints that turn apart from joints that slide, which never share a group: what they are, their unit, the joints."""
+    hinges, slides = ([joint for joint in joints if (joint.type == "prismatic") is slides] for slides in (False, True))
+    return [entry for entry in (("hinges", "rad", hinges), ("slides", "m", slides)) if entry[2]]
 
 
 def _rounded(joint: Joint, value: float) -> float:
