@@ -265,7 +265,8 @@ class FrameReader:
                     self._pushes.append(((body, disturbance.link or (models[body].root if body in models else body)), found))
         self._pooled = {thing.name for thing in world.objects if thing.pooled}
         self._variants = {thing.name: thing.variants[0].name for thing in world.objects if thing.variants}
-        self._numbers = _newest(program)
+        self._newest = np.array(program.agent.newest, np.intp)
+        self._truths = [number.is_truth for number in program.agent.numbers]
         self._ranges = [(f.low, f.high) for f in self.layout.observation]
         self._returns: dict[str, float] = {}
 
@@ -309,10 +310,10 @@ class FrameReader:
             vector = seen.get("observation", np.zeros(0, np.float32))
             goal = [*seen["achieved_goal"], *seen["desired_goal"]] if "desired_goal" in seen else []
         masks = agent.allowed() if agent.ended_by is None else ()
-        mapped = [*np.asarray(vector)[self._numbers[0]], *goal]
+        mapped = [*np.asarray(vector)[self._newest], *goal]
         values = tuple(
             float(value) if truth else (low + high) / 2 + (high - low) / 2 * float(value)
-            for value, truth, (low, high) in zip(mapped, [*self._numbers[1], *[False] * len(goal)], self._ranges, strict=True)
+            for value, truth, (low, high) in zip(mapped, [*self._truths, *[False] * len(goal)], self._ranges, strict=True)
         )
         return AgentFrame(
             values,
@@ -339,11 +340,6 @@ def value_of_row(value: Any, row: int) -> Any:
     if isinstance(value, dict):
         return {key: part[row] for key, part in value.items()}
     return None if value is None else value[row]
-
-
-def _newest(program: Program) -> tuple[NDArray[np.intp], list[bool]]:
-    """Where the newest value of each number stands in the observation, and whether it is a truth value."""
-    return np.array(program.agent.newest, np.intp), [number.is_truth for number in program.agent.numbers]
 
 
 def _beams(part: LinkName, sensor: Sensor) -> tuple[SensorRays, Sequence[Frame]]:

@@ -145,7 +145,7 @@ class Terminal(io.StringIO):
 
 def test_on_a_terminal_one_line_is_written_anew_and_taken_away():
     screen = Terminal()
-    bar = ProgressBar(40, "episodes", transient=True, stream=screen)
+    bar = ProgressBar(40, "episodes", stream=screen)
     for number in range(1, 41):
         bar.update(number)
     bar.close()

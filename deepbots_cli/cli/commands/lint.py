@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
@@ -293,19 +293,14 @@ def scenario_names(given: Iterable[str], project: Settings) -> list[str]:
     Raises:
         UsageError: A scenario does not exist, or a folder holds no scenario.
     """
-    names = list(dict.fromkeys(name for argument in given for name in _expanded(argument, project)))
+    names: dict[str, None] = {}
+    for argument in given:
+        is_folder = argument != STDIN and Path(argument).is_dir()
+        names |= dict.fromkeys(map(str, scenarios_in(Path(argument), project)) if is_folder else [argument])
     for name in names:
         if name != STDIN:
             Source.open(name, Permissions(), SourceKind.SCENARIO)
-    return names
-
-
-def _expanded(given: str, project: Settings) -> Iterator[str]:
-    folder = Path(given)
-    if given == STDIN or not folder.is_dir():
-        yield given
-        return
-    yield from map(str, scenarios_in(folder, project))
+    return list(names)
 
 
 def findings_of(names: Sequence[str], look: LintOptions, jobs: int = 1) -> list[Finding]:
