@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gymnasium.vector.utils import batch_space
 
@@ -16,6 +16,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import EngineError, MissingExtraError, RunError, ScenarioError, UsageError
 from deepbots_cli.learning.episodes import read_log
+from deepbots_cli.learning.run import ModelName, Run, RunRecord
 from deepbots_cli.port import View
 from deepbots_cli.program import Program, identity
 from deepbots_cli.rollout import Driver, Start, Step, steps
@@ -24,9 +25,6 @@ from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.paths import Ways
 from deepbots_cli.view.frames import FrameReader, WorldFrame
-
-if TYPE_CHECKING:
-    from deepbots_cli.learning.run import ModelName
 
 _TAIL_BYTES = 20_000  # of a log, which hold its last episode
 
@@ -57,8 +55,6 @@ class Showing:
             return self._open_recording(source.path)
         run, overrides = None, self.overrides
         if source.kind is SourceKind.RUN:
-            from deepbots_cli.learning.run import Run
-
             run = Run.open(source)
         else:
             overrides = with_engine(overrides, self.engine)
@@ -101,7 +97,7 @@ class ShowingState:
     findings: Sequence[Finding]
     files: frozenset[Path]
     shown: Showing
-    run: Any = None
+    run: Run | None = None
     recording: Any = None
     compiled: api.Compiled | None = None
     parameters: Mapping[str, str] = field(default_factory=dict)
@@ -147,26 +143,25 @@ class ShowingState:
 class RunDriver(Driver):
     """The best policy of a run, which acts as in an evaluation; while the run is trained, the newest one of each episode."""
 
-    def __init__(self, run: Any, env: Supervisor, rows: int = 0) -> None:
+    def __init__(self, run: Run, env: Supervisor, rows: int = 0) -> None:
         """`rows` are the worlds of a batch, which one forward pass acts in."""
         try:
             from deepbots_cli.learning import evaluation
             from deepbots_cli.learning.learner import steps_of
-            from deepbots_cli.learning.run import RunRecord
             from deepbots_cli.rollout.policies import PolicyDriver
         except ModuleNotFoundError as error:
             raise MissingExtraError("train", "showing the policy of a run") from error
         if differences := identity.differences(run.program, env.scenario):
             raise RunError(f"the policy of {run.path} does not fit the changed scenario:\n  " + "\n  ".join(differences))
         self._load, self._driver = evaluation.load_model, PolicyDriver
-        self._steps_of, self._record = steps_of, RunRecord.read
+        self._steps_of = steps_of
         self._run, self._env, self._rows = run, env, rows
         self._policy: Driver | None = None
         self._stamp: tuple[int, int] | None = None
         self.begin(Start())
 
     def begin(self, start: Start) -> None:
-        running = self._record(self._run.path).status == "running"
+        running = RunRecord.read(self._run.path).status == "running"
         names: tuple[ModelName, ...] = ("best", "last")
         found = {name: stamp for name in names if (stamp := file_stamps([path := self._run.model(name)])[path]) is not None}
         name = next(iter(found if not running else sorted(found, key=found.__getitem__, reverse=True)), None)
@@ -241,9 +236,12 @@ class Player:
         Raises:
             UsageError: There is no such script, or no policy.
         """
-        if name == POLICY and self.opened.run is None:
+        if name != POLICY:
+            self.driver = self._make_driver(self.env, name)
+        elif self.opened.run is None:
             raise UsageError("only a run has a policy")
-        self.driver = RunDriver(self.opened.run, self.env) if name == POLICY else self._make_driver(self.env, name)
+        else:
+            self.driver = RunDriver(self.opened.run, self.env)
         self.driver_name = name
 
     def _make_driver(self, env: Supervisor, name: str) -> Driver:

@@ -361,8 +361,7 @@ class Page:
     @property
     def _training_run(self) -> Run | None:
         """The run that is shown, where it is one."""
-        run: Run | None = self.panels[0].player.opened.run
-        return run
+        return self.panels[0].player.opened.run
 
     def _add_training(self) -> None:
         self._training, self._training_read_at = self.server.gui.add_html(""), -math.inf
