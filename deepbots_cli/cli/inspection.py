@@ -21,7 +21,7 @@ from deepbots_cli.diagnostics.render import render
 from deepbots_cli.document import Node
 from deepbots_cli.document.nodes import entries_at
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children, names_in
-from deepbots_cli.footprint import resting_height, robot_bounds
+from deepbots_cli.footprint import box_sides, resting_height, robot_bounds
 from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import EffectiveHyperparameter, effective_hyperparameters
@@ -97,7 +97,6 @@ def scenario_tables(scenario: Program, root: Node, run: Run | None = None) -> Ta
 def robot_tables(file: RobotFile, findings: list[Finding]) -> Tables:
     """The tables of a robot file: the whole, its links and joints, and the findings; all joints are at 0."""
     model = file.model
-    low, high = robot_bounds(model)
     listed = json.loads(render(findings, "json"))
     above = {joint.child: joint.name for joint in model.joints}
     return _filled(
@@ -107,7 +106,7 @@ def robot_tables(file: RobotFile, findings: list[Finding]) -> Tables:
                 "file": file.source.name,
                 "digest": file.digest,
                 **_counts(model),
-                "size_m": [round(b - a, 6) for a, b in zip(low, high, strict=True)],
+                "size_m": [round(side, 6) for side in box_sides(robot_bounds(model))],
                 "root_above_ground_m": round(resting_height(model), 6) + 0.0,  # no -0
                 "meshes": len(file.meshes),
             },

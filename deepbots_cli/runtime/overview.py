@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Scalar
-from deepbots_cli.footprint import Bounds, bounds_of_shape, robot_bounds
+from deepbots_cli.footprint import Bounds, bounds_of_shape, box_around, robot_bounds
 from deepbots_cli.frames import Triple, add, cross, dot, scaled
 from deepbots_cli.port import ZERO_VECTOR, View
 from deepbots_cli.program import Program
@@ -88,13 +88,6 @@ def _axes(boxes: Sequence[Bounds]) -> tuple[Triple, tuple[Triple, Triple, Triple
     back = _unit((away, aside, above + _FLAT_EYE_RISE * max(0.0, 1.0 - 2.0 * tall / max(wide, deep))))
     right = _unit(cross((0.0, 0.0, 1.0), back))
     return ((x + x_end) / 2, (y + y_end) / 2, (z + z_end) / 2), (right, cross(back, right), back)
-
-
-def box_around(boxes: Sequence[Bounds]) -> Bounds:
-    """The box around all boxes; a cube of 1 m around the origin for none."""
-    corners = _corners(boxes or [((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))])
-    xs, ys, zs = zip(*corners, strict=True)
-    return (min(xs), min(ys), min(zs)), (max(xs), max(ys), max(zs))
 
 
 def _corners(boxes: Iterable[Bounds]) -> list[Triple]:

@@ -13,7 +13,7 @@ from functools import cached_property
 from math import atan2, dist, hypot, pi
 
 from deepbots_cli import frames
-from deepbots_cli.footprint import Bounds, bounds_of_shape, child_frame, link_frames, robot_bounds
+from deepbots_cli.footprint import Bounds, bounds_of_shape, box_around, box_sides, child_frame, link_frames, robot_bounds
 from deepbots_cli.frames import IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_cli.robots.model import Joint, Link, RobotModel
 
@@ -149,8 +149,7 @@ class Build:
     @cached_property
     def size(self) -> float:
         """The longest side of the box around the robot."""
-        low, high = robot_bounds(self.model)
-        return max(b - a for a, b in zip(low, high, strict=True)) or 1.0
+        return max(box_sides(robot_bounds(self.model))) or 1.0
 
     @property
     def mass(self) -> float:
@@ -224,7 +223,7 @@ class Build:
         boxes = [self.boxes[name] for name in links if name in self.boxes]
         if not boxes:
             return None
-        (low_x, low_y, low_z), (high_x, high_y, high_z) = _around(boxes)
+        (low_x, low_y, low_z), (high_x, high_y, high_z) = box_around(boxes)
         centre = self.frames[joint.child][0]
         radius = centre[2] - low_z
         if radius <= 0.0 or abs(high_z - centre[2] - radius) > _WHEEL_TOLERANCE * radius or low_z - self.lowest > _WHEEL_TOLERANCE * radius:
@@ -305,10 +304,4 @@ def _box(link: Link, frame: Frame) -> Bounds | None:
     """The box around the shapes of a link that lies in `frame`."""
     parts = link.collisions or link.visuals
     boxes = [bounds_of_shape(part.shape, frames.compose(frame, frames.frame(part.origin))) for part in parts]
-    return _around(boxes) if boxes else None
-
-
-def _around(boxes: Sequence[Bounds]) -> Bounds:
-    lows, highs = zip(*boxes, strict=True)
-    (x, y, z), (a, b, c) = (map(min, zip(*lows, strict=True)), map(max, zip(*highs, strict=True)))
-    return (x, y, z), (a, b, c)
+    return box_around(boxes) if boxes else None
