@@ -172,13 +172,8 @@ class Motor:
     def _bind(self) -> None:
         self._shares = [max(0.0, strength) for strength in self._each(self.strength)]
         limits = [share * limit if limit < inf else inf for share, limit in zip(self._shares, self._each(self.max_torque), strict=True)]
-        engine, robot, joints = self._engine, self._robot, self._joints
-        if self._kind == "velocity_motor":
-            self._write: MotorWriter = engine.velocity_motor(robot, joints, limits)
-        elif self._kind == "torque_motor":
-            self._write = engine.torque_motor(robot, joints, limits)
-        else:
-            self._write = engine.position_motor(robot, joints, limits, self._scaled(self.stiffness), self._scaled(self.damping))
+        gains = (self._scaled(self.stiffness), self._scaled(self.damping)) if self._kind == "position_motor" else ()
+        self._write: MotorWriter = getattr(self._engine, self._kind)(self._robot, self._joints, limits, *gains)
 
     def _scaled(self, gain: PerJoint | None) -> list[float] | None:
         """A gain of the spring in each joint, as strong as that motor is."""

@@ -366,7 +366,13 @@ class BatchSupervisor(_BatchPart, ABC):
         self._forget()
         self._actions = []
         for step in range(last + 1):
-            self._begin_again([world for world, episode in enumerate(episodes) if step == last - len(episode.actions)], episodes)
+            begun = [world for world, episode in enumerate(episodes) if step == last - len(episode.actions)]
+            for start, single in ((episodes[world].start, self.singles[world]) for world in begun):
+                if isinstance(start, dict):
+                    single.set_random_state(start)
+                single.reset(seed=None if isinstance(start, dict) else start)
+            if begun:
+                self._take_over_from(begun)
             if step < last:
                 places = [step - last + len(episode.actions) for episode in episodes]
                 rows = [episode.actions[place] if place >= 0 else idle for place, episode in zip(places, episodes, strict=True)]
@@ -377,15 +383,6 @@ class BatchSupervisor(_BatchPart, ABC):
         self._starts = [episode.start for episode in episodes]
         self._first = np.array([last - len(episode.actions) for episode in episodes])
         return self.observations()
-
-    def _begin_again(self, worlds: Sequence[int], episodes: Sequence[EpisodeHistory]) -> None:
-        for world in worlds:
-            start, single = episodes[world].start, self.singles[world]
-            if isinstance(start, dict):
-                single.set_random_state(start)
-            single.reset(seed=None if isinstance(start, dict) else start)
-        if worlds:
-            self._take_over_from(worlds)
 
     def _take_over_from(self, worlds: Sequence[int]) -> None:
         """Go on from what single worlds have begun with."""

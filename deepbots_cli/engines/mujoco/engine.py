@@ -134,9 +134,8 @@ class MuJoCoEngine:
     def place(
         self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = ZERO_VECTOR, angular_velocity: Triple = ZERO_VECTOR
     ) -> None:
-        pool, data = self._pool(body), self._world.data
-        pool.activate()
-        placed = pool.current
+        data, placed = self._world.data, self._pool(body).activate()
+        self._world.show(placed)
         turned = x, y, z, w = frames.normalised(orientation)
         if placed.mocap_index >= 0:
             data.mocap_pos[placed.mocap_index], data.mocap_quat[placed.mocap_index] = position, (w, x, y, z)

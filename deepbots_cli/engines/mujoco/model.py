@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import combinations
 from math import inf
@@ -82,14 +82,12 @@ class Body:
     position_index: int = -1
     velocity_index: int = -1
     mocap_index: int = -1
-    on_activate: Callable[[Body], object] | None = None
 
     def deactivate(self) -> None:
-        """A reset has put it away."""
+        """Do nothing: a reset has put it away."""
 
     def activate(self) -> None:
-        if self.on_activate is not None:
-            self.on_activate(self)
+        """Do nothing: the engine shows it."""
 
     def geoms_of(self, link: str | None) -> list[int]:
         """The geoms of a link, or of all."""
@@ -289,7 +287,8 @@ class ModelBuilder:
             elif above.moves:
                 joints[above.name] = self._joint(made, above)
             self._set_inertia(made, body.name, link, ROOT_MASS_FRACTION * subtree_mass[name] if above is None or above.moves else 0.0)
-            geoms[name] = [self._surface(made, piece, place, pooled) for piece in self._pieces(link)]
+            pieces = (link.visuals or link.collisions) if self._for_rendering else link.collisions
+            geoms[name] = [self._surface(made, piece, place, pooled) for piece in pieces]
             if self._flat and above is not None:
                 geoms[name] += self._add_tyres(made, link, above, geoms[name])
             order += children.get(name, ())
@@ -297,9 +296,6 @@ class ModelBuilder:
             self._follow(joints[follower], joints[mimic.joint], mimic)
         self._made.append((body, links, joints, geoms))
         return body
-
-    def _pieces(self, link: Link) -> tuple[Geometry, ...]:
-        return (link.visuals or link.collisions) if self._for_rendering else link.collisions
 
     def _set_inertia(self, made: MjObject, body: str, link: Link, trace: float) -> None:
         """Mass and inertia; a link that moves and states none gets a `trace` of what it carries, since MuJoCo takes no such link.

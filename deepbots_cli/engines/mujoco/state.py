@@ -79,7 +79,6 @@ class MujocoWorld:
                     rubs = body.model.link(link).friction
                     lateral = 1.0 if rubs.lateral is None else rubs.lateral
                     self.surfaces[geoms] = (lateral, rubs.spinning or 0.0, rubs.rolling or 0.0, rubs.restitution or 0.0)
-                body.on_activate = self._on_activate
         self._initial_positions = model.qpos0.copy(), np.array(self.data.mocap_pos), np.array(self.data.mocap_quat)
         """Positions of joints and of bodies at the beginning of an episode."""
         for body in (body for pool in pools for body in pool):
@@ -209,7 +208,7 @@ class MujocoWorld:
         self._mass_changed = self._friction_changed = False
         self.is_stale = self.closed
 
-    def _on_activate(self, body: Body) -> None:
+    def show(self, body: Body) -> None:
         """A pooled body is placed: it has weight, and rays meet it."""
         self.model.geom_group[body.geoms_of(None)] = SOLID_GROUP
         self.model.body_gravcomp[list(body.links.values())] = 0.0
