@@ -249,6 +249,14 @@ class SupervisorPrinter(ClassPrinter):
         """For a batch: the lines of methods that draw values in a single world, by their names."""
         self.state: dict[str, None] = {}
         """The attributes that hold drawn values and values of the timestep before, in order of first use."""
+        self.repeats_actions = scenario.action_repeat > 1
+        """Whether a step of the agent has several timesteps, which are then a method of their own."""
+        self.has_history = self.agent.frame_stack > 1 or any(entry.history > 1 for entry in self.agent.observation)
+        """Whether the policy sees more than the numbers of the last step."""
+        self.is_of_copy = self.agent.copies is not None
+        """Whether this is the supervisor of one copy among several, whose world goes on for all of them at once."""
+        self.tick = "self.timestep_count" if self.repeats_actions else "self.step_count"
+        """Code that counts the timesteps of the episode."""
         self.choices = self.agent.choices
         self.ranges = self.agent.ranges
         evaluated: list[Scalar] = [value for entry in scenario.signals for value in entry.scalars]
@@ -273,26 +281,6 @@ class SupervisorPrinter(ClassPrinter):
         self._components["previous_action"] = action_names(self.agent.action)
         if goal is not None:
             self._components |= dict.fromkeys(("achieved", "desired"), goal.components)
-
-    @property
-    def repeats_actions(self) -> bool:
-        """Whether a step of the agent has several timesteps, which are then a method of their own."""
-        return self.scenario.action_repeat > 1
-
-    @property
-    def has_history(self) -> bool:
-        """Whether the policy sees more than the numbers of the last step."""
-        return self.agent.frame_stack > 1 or any(entry.history > 1 for entry in self.agent.observation)
-
-    @property
-    def is_of_copy(self) -> bool:
-        """Whether this is the supervisor of one copy among several, whose world goes on for all of them at once."""
-        return self.agent.copies is not None
-
-    @property
-    def tick(self) -> str:
-        """Code that counts the timesteps of the episode."""
-        return "self.timestep_count" if self.repeats_actions else "self.step_count"
 
     def is_direct(self, robot: Robot, direction: Direction) -> bool:
         """Whether each message arrives in the timestep in which it is sent: `delayed` timing makes either direction a timestep longer."""

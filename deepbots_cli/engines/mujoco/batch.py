@@ -119,17 +119,18 @@ class BatchMember(EngineProxy):
 
         return push
 
+    def _of_columns(self, read: Callable[[], Column]) -> Callable[[], Any]:
+        index = self._index
+        return lambda: read()[..., index].tolist()
+
     def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
-        read, index = self._batch.contact(one, others, ground=ground), self._index
-        return lambda: bool(read()[index])
+        return self._of_columns(self._batch.contact(one, others, ground=ground))
 
     def contact_force(self, one: Part) -> ForceReader:
-        read, index = self._batch.contact_force(one), self._index
-        return lambda: float(read()[index])
+        return self._of_columns(self._batch.contact_force(one))
 
     def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
-        read, index = self._batch.joint_torques(robot, joints), self._index
-        return lambda: cast("list[float]", read()[:, index].tolist())
+        return self._of_columns(self._batch.joint_torques(robot, joints))
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return self._batch.motor("velocity", robot, joints, max_torque, world=self._index).writer(self._index)

@@ -29,15 +29,13 @@ LinkKey = tuple[int, int]
 """The number of a body and that of a link, or `ANY_LINK`."""
 
 
+@dataclass(eq=False, slots=True)
 class ContactFlag:
     """Whether a link (or `ANY_LINK`) touched something that `is_other` names by body and link, since the last `forget`."""
 
-    __slots__ = ("is_other", "link", "touched")
-
-    def __init__(self, link: int, accepts: Callable[[int, int], bool]) -> None:
-        self.link = link
-        self.is_other = accepts
-        self.touched = False
+    link: int
+    is_other: Callable[[int, int], bool]
+    touched: bool = False
 
     def read(self) -> bool:
         return self.touched
