@@ -367,7 +367,10 @@ class SupervisorPrinter(ClassPrinter):
 
     def scalar(self, leaf: Name | EngineRead, needs: ReaderKeys) -> str:
         if isinstance(leaf, EngineRead):
-            return self._fact(leaf, needs)
+            if leaf.function == "present":
+                group, _, count = leaf.subjects[0].partition("#")
+                return f"({self.present_count(group)} >= {count})"
+            return self._channel_value(leaf) if leaf.function in CHANNEL_VALUES else self.readers.code(leaf, needs)
         match leaf.name:
             case "time":
                 return f"({self.tick} * {self.scenario.world.timestep!r})"
@@ -387,12 +390,6 @@ class SupervisorPrinter(ClassPrinter):
 
     def _whole(self, name: str) -> str:
         return self.parameter(name) if name in self._parameters else self.local(name)
-
-    def _fact(self, leaf: EngineRead, needs: ReaderKeys) -> str:
-        if leaf.function == "present":
-            group, _, count = leaf.subjects[0].partition("#")
-            return f"({self.present_count(group)} >= {count})"
-        return self._channel_value(leaf) if leaf.function in CHANNEL_VALUES else self.readers.code(leaf, needs)
 
     def _channel_value(self, leaf: EngineRead) -> str:
         """Values of the channel of a robot: the age of the message that the supervisor uses, and whether it arrived in this timestep."""

@@ -221,16 +221,10 @@ def _csv_cell(value: Value) -> str:
 _CSV_READERS: dict[str, Callable[[str], Value]] = {"?": _csv_truth, "d": float, "s": partial(b64decode, validate=True)}
 
 
-def _tuple_type(codes: list[str]) -> Any:
-    """The type `tuple[int, float, ...]` that msgspec checks a message against."""
-    types = {"?": bool, "d": float, "s": bytes}
-    kinds = tuple(types[code[-1]] for code in codes)
-    return GenericAlias(tuple, (int, *kinds))
-
-
 def _msgspec_codec(library: Any, layout_hash: int, codes: list[str]) -> Codec:
-    encoder = library.Encoder().encode
-    decoder = library.Decoder(_tuple_type(codes)).decode
+    kinds = {"?": bool, "d": float, "s": bytes}
+    checked = GenericAlias(tuple, (int, *(kinds[code[-1]] for code in codes)))
+    encoder, decoder = library.Encoder().encode, library.Decoder(checked).decode
     return Codec(lambda *values: encoder((layout_hash, *values)), decoder, lambda message: list(library.decode(message)))
 
 
