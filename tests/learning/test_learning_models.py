@@ -21,13 +21,15 @@ import stand_in
 import torch
 from stable_baselines3 import PPO
 
+from deepbots_cli import api
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.insight.export import networks
-from deepbots_cli.learning import TrainingResult, evaluate, load_policy, resume, train
+from deepbots_cli.learning import TrainingResult, evaluate, learner, load_policy, resume, train
 from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.learner import steps_of
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Training
+from deepbots_cli.runtime.spaces import action_space, observation_space
 from tests.few import few
 
 BEST = Path("models", "agent", "best.zip")
@@ -296,3 +298,16 @@ def test_a_policy_refuses_a_value_that_is_not_finite_and_names_it(trained: Train
         policy.observe({"x": 0.0, "speed": float("nan"), "cart.pole_angle": 0.0, "tip_speed": 0.0})
     with pytest.raises(UsageError, match=r"^the observation holds a value of cart\.pole_angle that is not finite: inf$"):
         policy(np.array([[0, 0, 0, 0], [0, 0, np.inf, 0]], np.float32))
+
+
+@pytest.mark.parametrize("scenario", ["cartpole", "cartpole_continuous"])
+def test_likeliest_actions_of_rows_are_those_of_the_library_to_the_bit(scenario):
+    program = api.compile(scenario).program
+    training = Training("PPO", 1000, network=Network((32, 32), "tanh"))
+    policy = learner.create(learner.Setup(training, observation_space(program.agent), action_space(program.agent)))
+    generator = np.random.default_rng(0)
+    for scale in (0.01, 1.0, 30.0):
+        rows = (scale * generator.normal(size=(8, *policy.setup.observation_space.shape))).astype(np.float32)
+        ours, (theirs, _) = policy.predict(rows, deterministic=True)[0], policy.model.predict(rows, deterministic=True)
+        assert ours.dtype == theirs.dtype
+        np.testing.assert_array_equal(ours, theirs)

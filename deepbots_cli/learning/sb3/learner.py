@@ -148,6 +148,9 @@ class StableLearner(Learner):
         Raises:
             RunError: An action is not finite: weights so large that none follows are a problem of the run.
         """
+        actions = networks.likeliest_actions(self.model.policy, observation) if deterministic and action_masks is None else None
+        if actions is not None:
+            return actions, None
         masks = {} if action_masks is None else {"action_masks": action_masks}
         with models.overflow_explained():
             actions, state = self.model.predict(observation, state=state, episode_start=episode_start, deterministic=deterministic, **masks)
