@@ -8,7 +8,7 @@ other rows hold does not touch it. This, and the same starts for every policy, i
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Protocol
 
 import gymnasium as gym
@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.rollout.episode import Driver, Episode, EpisodeAccumulator, OnEpisode, Start, play
+from deepbots_cli.rollout.episode import Driver, Episode, EpisodeAccumulator, OnEpisode, Start, Step, play, steps
 from deepbots_cli.rollout.worlds import Array, BatchEpisodes, has_copies
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
@@ -250,6 +250,8 @@ class EvaluationLane:
         self.row = self.number = row
         self._world, self._numbers, self._seeds = world, iter(numbers), seeds
         self._accumulator = EpisodeAccumulator()
+        self._action: Any = None
+        self._steps: Iterator[Step] = iter(())
 
     def begin(self, forward: ForwardPass) -> bool:
         """Start the next episode; whether there was one."""
@@ -259,14 +261,16 @@ class EvaluationLane:
         self.number, seed = number, self._seeds[number]
         torch.manual_seed(derive_seed(seed, "policy"))  # only a policy that samples draws from it
         forward.starts[self.row] = True
-        observation, info = self._world.reset(seed=seed)
-        self._accumulator.begin(seed, info)
-        forward.put(self.row, observation, self._world)
+        self._steps = steps(self._world, Driver(lambda _: self._action), Start(seed))
+        first = next(self._steps)
+        self._accumulator.begin(seed, first.info)
+        forward.put(self.row, first.observation, self._world)
         return True
 
     def step(self, action: Any, forward: ForwardPass) -> Episode | None:
         """The episode, if this step was its last."""
-        observation, reward, terminated, truncated, info = self._world.step(action)
-        self._accumulator.add(float(reward), info)
-        forward.put(self.row, observation, self._world)
-        return self._accumulator.close(info) if terminated or truncated else None
+        self._action = action
+        step = next(self._steps)
+        self._accumulator.add(step.reward, step.info)
+        forward.put(self.row, step.observation, self._world)
+        return self._accumulator.close(step.info) if step.is_last else None
