@@ -1,4 +1,6 @@
-"""How many steps per second engines and batches of worlds make, and where the time goes; for `deepbots bench`."""
+"""How many steps per second engines and batches of worlds make, and where the time goes; for `deepbots bench`, and for the note of
+`train` and `new` on a faster engine.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Learning: from a compiled scenario to a trained, evaluated policy in a directory of its own.
 
 training.py      train and resume: joins all of the below
-evaluation.py    evaluate: a policy on held-out starts, with intervals
+evaluation.py    evaluate: a policy on held-out starts, with intervals; `load_model`, the model of a run
 verdict.py       which evaluation of a run counts, and whether the run is solved
 run.py           the run directory: what is kept, written atomically, read with suspicion
 learner.py       what learns: the interface of an algorithm, and a base for algorithms of other packages

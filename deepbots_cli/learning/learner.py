@@ -25,6 +25,7 @@ from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointS
 from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.collector import Collector, Decision, Fragment
+from deepbots_cli.rollout.worlds import WorldsStep
 from deepbots_cli.scenario.training import ALGORITHMS
 
 if TYPE_CHECKING:
@@ -247,10 +248,9 @@ class ArrayLearner(Learner):
         collector = self.setup.collector
         if collector is None:
             raise RuntimeError("a learner without worlds cannot collect")
-        rows = collector.rows
 
-        def on_step(_: Any) -> bool:
-            self.steps += rows
+        def on_step(step: WorldsStep) -> bool:
+            self.steps += len(step.dones)
             return self._monitor.on_step()
 
         fragment = collector.collect(self.act, self.fragment_steps, on_step, with_masks=self.takes_masks)

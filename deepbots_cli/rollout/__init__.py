@@ -5,9 +5,10 @@ source.py     which scenario is meant: the one place that answers it
 drivers.py    who acts: a script, random or zero actions, a list of actions, a person
 worlds.py     worlds that go on side by side, single ones or a batch
 collector.py  fragments of experience, by shards of worlds
-policies.py   episodes of a policy, in several worlds at a time
+policies.py   a trained policy as a driver; evaluations in several worlds at a time
 
-Outside of this package only benchmarks step an environment.
+Environments are stepped in `episode.steps`, one at a time, and in `worlds.Worlds` and `worlds.BatchEpisodes`, side by side. Outside of this
+package, wrappers pass `step` on, and benchmarks time it.
 """
 
 from deepbots_cli.rollout.episode import Driver, Episode, EpisodeAccumulator, Start, Step, play, result_of, steps

@@ -2,7 +2,8 @@
 
 A `Collector` gives the learner its next fragment: the rows of some steps, the episodes that ended, and what a shard needs to go on from.
 `LocalCollector` steps worlds in this process. A shard is the worlds of one collector; shards in other processes or on other machines are
-another implementation of the same interface. Three properties make them give the same experience wherever they run:
+another implementation of the same interface. On-policy algorithms take any collector. Three properties make shards give the same experience
+wherever they run:
 
 - A shard has worlds with seeds and random streams of their own, and acts by its copy of the policy.
 - Fragments are joined by the number of their shard (`join`), never by the order in which they arrive.

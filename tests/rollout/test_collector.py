@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from contextlib import closing
 from typing import Any
 
 import numpy as np
 import pytest
+from stable_baselines3.common.logger import Logger
 
 from deepbots_cli import api
-from deepbots_cli.rollout.collector import Decision, Fragment, LocalCollector, ShardState, join
+from deepbots_cli.errors import UsageError
+from deepbots_cli.learning import learner
+from deepbots_cli.learning.learner import Setup
+from deepbots_cli.program.task import Hyperparameter, Training
+from deepbots_cli.rollout.collector import Actor, Decision, Fragment, LocalCollector, OnStep, ShardState, join
 from deepbots_cli.rollout.worlds import BatchWorlds, Worlds
 from deepbots_cli.runtime.batch import EpisodeHistory
 
@@ -91,3 +97,53 @@ def test_a_fragment_may_be_ended_before_its_last_step() -> None:
         seen: list[int] = []
         assert collector.collect(act, 10, lambda step: seen.append(0) or len(seen) < 4) is None
         assert len(seen) == 4
+
+
+class Shards:
+    """Two shards as one collector, asked in the order of their numbers."""
+
+    def __init__(self, *shards: LocalCollector) -> None:
+        self.shards, self.rows = shards, sum(shard.rows for shard in shards)
+        self.observation_space, self.action_space = shards[0].observation_space, shards[0].action_space
+
+    def collect(self, actor: Actor, steps: int, on_step: OnStep, *, with_masks: bool = False) -> Fragment | None:
+        found = [shard.collect(actor, steps, on_step, with_masks=with_masks) for shard in self.shards]
+        return join([fragment for fragment in found if fragment is not None])
+
+    def state(self) -> ShardState:
+        states = [shard.state() for shard in self.shards]
+        return ShardState([episode for state in states for episode in state.episodes], " ".join(state.observed for state in states))
+
+    def restore(self, state: ShardState, seeds: Sequence[int]) -> bool:
+        raise NotImplementedError
+
+
+def test_an_on_policy_learner_learns_from_any_collector_and_others_refuse_one() -> None:
+    shards = Shards(shard(0, "single"), shard(1, "single"))
+    spaces = shards.observation_space, shards.action_space
+    with closing(shards.shards[0].worlds), closing(shards.shards[1].worlds):
+        settings = tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size"))
+        made = learner.create(Setup(Training("PPO", 1000, environments=4, hyperparameters=settings), *spaces, collector=shards))
+        made.log = Logger(None, [])  # type: ignore[assignment]  # writes nothing
+        made.begin(1000, Monitor())  # type: ignore[arg-type]  # what a learner calls of it
+        made.start()
+        before = made.digest()
+        assert made.collect()
+        assert made.steps == 4 * 32
+        assert made.recent()[1].shape[:2] == (32, 4)
+        made.update()
+        assert made.digest() != before
+        with pytest.raises(UsageError, match="DQN steps its worlds itself, so they must be in its process"):
+            learner.create(Setup(Training("DQN", 1000, environments=4), *spaces, collector=shards))
+
+
+class Monitor:
+    """Lets a training go on."""
+
+    defines_success = False
+
+    def on_step(self) -> bool:
+        return True
+
+    def on_collected(self) -> None:
+        pass

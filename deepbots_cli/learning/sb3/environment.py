@@ -77,7 +77,11 @@ class _Spaces(gym.Env[Any, Any]):
     def __init__(self, observation_space: gym.Space[Any], action_space: gym.Space[Any]) -> None:
         self.observation_space, self.action_space = observation_space, action_space
 
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Any observation: the library asks for one before it learns."""
+        return self.observation_space.sample(), {}
 
-def spaces_only(observation_space: gym.Space[Any], action_space: gym.Space[Any]) -> CollectorEnvironment:
-    """An environment without a world, for a policy that is not to learn."""
-    return CollectorEnvironment(LocalCollector(Worlds([_Spaces(observation_space, action_space)], [0])))
+
+def spaces_only(observation_space: gym.Space[Any], action_space: gym.Space[Any], rows: int = 1) -> CollectorEnvironment:
+    """An environment without a world: for a policy that is not to learn, or that learns from worlds in other processes."""
+    return CollectorEnvironment(LocalCollector(Worlds([_Spaces(observation_space, action_space)] * rows, [0] * rows)))

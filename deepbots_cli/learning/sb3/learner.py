@@ -21,6 +21,7 @@ from stable_baselines3.common.type_aliases import RolloutReturn
 from stable_baselines3.common.vec_env import VecNormalize
 from stable_baselines3.her import HerReplayBuffer
 
+from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.callbacks import TrainingCallback
 from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
@@ -43,12 +44,13 @@ class StableLearner(Learner):
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
         self.check(setup.training)
-        env: Any = spaces_only(setup.observation_space, setup.action_space)
-        if isinstance(setup.collector, LocalCollector):
-            env = CollectorEnvironment(setup.collector)
-            if setup.training.normalize is not None:
-                gamma: Any = next((h.value for h in setup.training.hyperparameters if h.name == "gamma"), 0.99)
-                env = VecNormalize(env, norm_obs=False, gamma=gamma)  # rewards by a running standard deviation of the return
+        self._collector = collector = setup.collector
+        env: Any = spaces_only(setup.observation_space, setup.action_space, 1 if collector is None else collector.rows)
+        if isinstance(collector, LocalCollector):
+            env = CollectorEnvironment(collector)
+        if collector is not None and setup.training.normalize is not None:
+            gamma: Any = next((h.value for h in setup.training.hyperparameters if h.name == "gamma"), 0.99)
+            env = VecNormalize(env, norm_obs=False, gamma=gamma)  # rewards by a running standard deviation of the return
         self.model: Any = algorithms.create(
             setup.training,
             env,
@@ -61,8 +63,10 @@ class StableLearner(Learner):
         self.takes_masks = algorithms.takes_masks(self.model)
         self.confirms = isinstance(self.model, OffPolicyAlgorithm)
         self._by_fragments = algorithms.collects_as_usual(setup.training, self.model)
+        if not (self._by_fragments or collector is None or isinstance(collector, LocalCollector)):
+            raise UsageError(f"{setup.training.algorithm} steps its worlds itself, so they must be in its process")
         self._followers: Sequence[BaseCallback] = ()
-        if setup.collector is None:
+        if collector is None:
             self.model.policy.set_training_mode(False)
 
     @classmethod
@@ -99,11 +103,11 @@ class StableLearner(Learner):
                     log_interval=self._log_interval,
                 )
                 return bool(self._rollout.continue_training)
-            if not self._by_fragments:
+            if self._collector is None or not self._by_fragments:
                 return bool(model.collect_rollouts(model.env, self._callback, model.rollout_buffer, n_rollout_steps=model.n_steps))
             actor = rollouts.RolloutActor(model)
             self._callback.on_rollout_start()
-            fragment = model.env.unwrapped.collector.collect(actor, model.n_steps, self._on_step, with_masks=self.takes_masks)
+            fragment = self._collector.collect(actor, model.n_steps, self._on_step, with_masks=self.takes_masks)
             if fragment is None:
                 return False
             rollouts.fill(model, fragment)
@@ -112,7 +116,7 @@ class StableLearner(Learner):
 
     def _on_step(self, step: WorldsStep) -> bool:
         model = self.model
-        model.num_timesteps += model.n_envs
+        model.num_timesteps += len(step.dones)
         if self._followers:
             observations, rewards, dones, infos = as_returned(step)
             self._callback.update_locals({"new_obs": observations, "rewards": rewards, "dones": dones, "infos": infos})
