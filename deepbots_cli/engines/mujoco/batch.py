@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from deepbots_cli.frames import Frame, Triple
-    from deepbots_cli.port import ContactReader, Engine, ForceReader, Gain, MotorWriter, P, Part, Pusher, R, TorqueReader
+    from deepbots_cli.port import ContactReader, Engine, ForceReader, Gain, MotorWriter, P, Part, PoseReader, Pusher, R, TorqueReader
     from deepbots_cli.program.world import WorldModel
 
     Column = NDArray[Any]
@@ -102,6 +102,21 @@ class BatchMember(EngineProxy):
     def restore(self, snapshot: object) -> None:
         self.snapshot()
 
+    def pose(self, body: str, link: str | None = None) -> PoseReader:
+        """That of a free body comes from its row where the shared engine does not have this world: 1 us instead of 8."""
+        read_attached, batch, index, place = super().pose(body, link), self._batch, self._index, self._batch.form_and_link(body, link)
+        if place is None or place[1] != place[0].root_id or place[0].position_index < 0:
+            return read_attached
+        at = place[0].position_index
+
+        def read_free() -> Frame:
+            if batch.attached == index:
+                return read_attached()
+            px, py, pz, w, x, y, z = batch.qpos[index, at : at + 7].tolist()
+            return (px, py, pz), (x, y, z, w)
+
+        return read_free
+
     def before_substep(self, act: Callable[[], object]) -> None:
         self.substep_callbacks.append(act)
         self._batch.acts_in_substeps = True
@@ -156,7 +171,7 @@ class MuJoCoBatch:
         self.count = count
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         self._threads = min(cores, count)
-        self._attached: int | None = None
+        self.attached: int | None = None
         """The world that the shared engine has."""
         self._has_changes = False
         """Whether the shared engine has changed it."""
@@ -303,7 +318,7 @@ class MuJoCoBatch:
         """Begin an episode of a world in the shared engine."""
         self._release()
         self.single.reset()
-        self._attached, self._has_changes = index, True
+        self.attached, self._has_changes = index, True
         for name, rows in self.rows.items():
             rows[index] = _field(self.nominal, name)
         if self._weighed.pop(index, None) is not None:
@@ -324,7 +339,7 @@ class MuJoCoBatch:
 
     def attach(self, index: int, *, changes: bool = False) -> MuJoCoEngine:
         """The shared engine with a world as it is now."""
-        if self._attached != index:
+        if self.attached != index:
             self._release()
             world = self._world
             mj.mj_setState(world.model, world.data, self.state[index], FULL_STATE)
@@ -336,14 +351,14 @@ class MuJoCoBatch:
             for name in changed:
                 _field(world.model, name)[...] = self.rows[name][index]
             world.invalidate()
-            self._attached = index
+            self.attached = index
         self._has_changes |= changes
         return self.single
 
     def _release(self) -> None:
         """Let a world have what the shared engine has changed."""
-        index, world = self._attached, self._world
-        self._attached = None
+        index, world = self.attached, self._world
+        self.attached = None
         if index is None or not self._has_changes:
             return
         self._has_changes = False
@@ -417,7 +432,7 @@ class MuJoCoBatch:
         return read
 
     def pose(self, body: str, link: str | None = None) -> Callable[[], Any]:
-        place = self._form_and_link(body, link)
+        place = self.form_and_link(body, link)
         if place is None:
             return self._read_each(lambda member: member.pose(body, link))
         form, number = place
@@ -437,7 +452,7 @@ class MuJoCoBatch:
         return read
 
     def velocity(self, body: str, link: str | None = None) -> Callable[[], Any]:
-        place = self._form_and_link(body, link)
+        place = self.form_and_link(body, link)
         if place is None:
             return self._read_each(lambda member: member.velocity(body, link))
         form, number = place
@@ -514,7 +529,7 @@ class MuJoCoBatch:
 
     def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> Callable[[], Column]:
         """See `Engine.rays`."""
-        place = self._form_and_link(*part)
+        place = self.form_and_link(*part)
         if place is None:
             return self._read_each(lambda member: member.rays(part, rays, reach))
         form, link = place
@@ -545,7 +560,7 @@ class MuJoCoBatch:
             return [(body.root_id, True) for body in pool]
         return [(_link(body, part[1]), False) for body in pool]
 
-    def _form_and_link(self, body: str, link: str | None) -> tuple[Body, int] | None:
+    def form_and_link(self, body: str, link: str | None) -> tuple[Body, int] | None:
         """The form of a body and the number of the link; None where it has several forms."""
         pool = self.single._pool(body)
         return (pool.current, _link(pool.current, link)) if len(list(pool)) == 1 else None
