@@ -28,7 +28,8 @@ def likeliest_actions(policy: Any, observations: Any) -> Array | None:
     """
     space = policy.action_space
     is_plain = type(policy) is ActorCriticPolicy and type(policy.features_extractor) is FlattenExtractor and not policy.squash_output
-    if not is_plain or not isinstance(observations, np.ndarray) or observations.ndim != 2 or len(space.shape) > 1:
+    is_rows = isinstance(observations, np.ndarray) and observations.ndim == 2 and observations.shape[1:] == policy.observation_space.shape
+    if not is_plain or not is_rows or len(space.shape) > 1:
         return None
     with torch.no_grad():
         seen = torch.from_numpy(observations).to(policy.action_net.weight.device, torch.float32)
