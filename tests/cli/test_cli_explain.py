@@ -236,3 +236,27 @@ def test_the_example_of_a_concept_lints_clean_and_its_page_has_the_section(topic
 def test_no_two_concepts_share_a_name():
     names = [name.lower() for topic in topics() for name in (topic.name, *topic.names)]
     assert len(names) == len(set(names))
+
+
+@pytest.mark.parametrize(
+    ("word", "concept"),
+    [
+        ("return", "return"),
+        ("episode", "episode"),
+        ("exploration", "exploration"),
+        ("policy", "policy"),
+        ("entropy", "entropy"),
+        ("local optimum", "local optimum"),
+        ("mimic", "mimic joint"),
+        ("passive joint", "passive joint"),
+        ("two policies", "several policies"),
+    ],
+)
+def test_a_term_that_a_beginner_meets_is_explained(deepbots, word, concept):
+    assert deepbots("explain", word).out.startswith(f"{concept}: a concept")
+
+
+def test_a_key_of_some_algorithms_names_them(deepbots):
+    said = " ".join(deepbots("explain", "n_steps").out.split())
+    assert "n_steps: a key of `train` with `algorithm: PPO`, `algorithm: A2C`" in said
+    assert "`algorithm: DQN`" in said

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from textwrap import fill
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, get_args
 
 import typer
 
@@ -198,15 +198,22 @@ def misspelt_word(word: str) -> str | None:
 
 def _blocks(word: str) -> list[list[str]]:
     """The function, the unit, the kinds and the keys of this name."""
-    places: dict[Lines, dict[str, None]] = {}
+    places: dict[Lines, dict[str, dict[str, None]]] = {}
+    all_kinds: dict[str, int] = {}
     for path, part, mark in walk_sections(Scenario):
         place = f"`{'.'.join('<name>' if step == '*' else step for step in path)}`" if path else "a scenario"
+        kind = "" if isinstance(part, Kinds) or not mark else f"`{mark}: {get_args(part.model_fields[mark].annotation)[0]}`"
+        all_kinds[place] = all_kinds.get(place, 0) + bool(kind)
         for lines in _explained_in(part, mark, word):
-            places.setdefault(lines, {})[place] = None
+            places.setdefault(lines, {}).setdefault(place, {}).update({kind: None} if kind else {})
     blocks = [block for block in (list(_of_function(word)), list(_of_unit(word))) if block]
-    for (what, *text), paths in list(places.items())[:_MAX_SHOWN]:
-        more = f" and {len(paths) - _MAX_SHOWN} more places" if len(paths) > _MAX_SHOWN else ""
-        blocks.append([f"{word}: {with_article(what)} of {', '.join([*paths][:_MAX_SHOWN])}{more}", *text])
+    for (what, *text), found in list(places.items())[:_MAX_SHOWN]:
+        more = f" and {len(found) - _MAX_SHOWN} more places" if len(found) > _MAX_SHOWN else ""
+        shown = [
+            f"{place} with {', '.join(kinds)}" if 0 < len(kinds) < all_kinds[place] else place
+            for place, kinds in list(found.items())[:_MAX_SHOWN]
+        ]
+        blocks.append([f"{word}: {with_article(what)} of {', '.join(shown)}{more}", *text])
     return blocks
 
 
