@@ -96,7 +96,8 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
             UsageError: `render_mode` is neither None nor "rgb_array", or the engine cannot draw.
         """
         if render_mode not in (None, "rgb_array"):
-            raise UsageError(f"render mode {render_mode!r} is unknown; use 'rgb_array' or none")
+            window = "; for a window, wrap the environment in `gymnasium.wrappers.HumanRendering`" if render_mode == "human" else ""
+            raise UsageError(f"render mode {render_mode!r} is unknown; use 'rgb_array' or none{window}")
         if render_mode and "rendering" not in engine.capabilities:
             raise UsageError(f"the engine '{engine.name}' cannot draw; use the engine 'pybullet' for pictures")
         super().__init__(scenario.world.timestep)
