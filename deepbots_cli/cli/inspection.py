@@ -447,7 +447,7 @@ def _observation(scenario: Program) -> list[Row]:
 
 def _reset(scenario: Program, root: Node) -> list[Row]:
     settle: list[Row] = [{"reset": "settle", "of": "everything", "to": f"{scenario.reset.settle:g} s"}] if scenario.reset.settle else []
-    entries = [(section, name) for section in ("place", "set") for name in entries_at(root, "reset", section)]
+    entries = [(section, name) for section in ("place", "joints") for name in entries_at(root, "reset", section)]
     return [{"reset": section, "of": name, "to": text_at(root, "reset", section, name)} for section, name in entries] + settle
 
 

@@ -186,14 +186,14 @@ _JOINTS = frozenset({Kind.JOINT, Kind.JOINTS})
 
 
 def joint_starts(namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> tuple[JointStart, ...]:
-    """The entries of `reset.set`: joints and groups of joints of robots; `poses` are those of each robot."""
-    starts = [_joint_start(key, namespace.scenario.reset, namespace, poses) for key in namespace.scenario.reset.set]
+    """The entries of `reset.joints`: joints and groups of joints of robots; `poses` are those of each robot."""
+    starts = [_joint_start(key, namespace.scenario.reset, namespace, poses) for key in namespace.scenario.reset.joints]
     return tuple(start for start in starts if start is not None)
 
 
 def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> JointStart | None:
     robot_name, dot, part = key.partition(".")
-    robot, text = namespace.robots.get(robot_name), namespace.values.key_text((*spec.path, "set", key))
+    robot, text = namespace.robots.get(robot_name), namespace.values.key_text((*spec.path, "joints", key))
     if robot is None:
         if robot_name not in namespace.robots:
             namespace.values.report_unknown(text.part(0, len(robot_name)), "robot", robot_name, namespace.names_of(Origin.ROBOT))
@@ -217,10 +217,10 @@ def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping
         members, intervals = zip(*kept, strict=True)
         subject = subject._replace(members=members, intervals=intervals, interval=hull(intervals))
     joints = tuple(member.partition(".")[2] for member in subject.members) or (part,)
-    scope, given = namespace.scope(Context.RESET, poses.get(robot_name)), spec.set[key]
+    scope, given = namespace.scope(Context.RESET, poses.get(robot_name)), spec.joints[key]
     angle, read = joint_dimension(robot.model.joint(joints[0])), namespace.values.field
     if not isinstance(given, JointState):
-        position = _start_value(read(spec, "set", key), key, angle, subject, scope, joints)
+        position = _start_value(read(spec, "joints", key), key, angle, subject, scope, joints)
         return JointStart(robot_name, joints, position, None) if position else None
     position = _start_value(read(given, "position"), key, angle, subject, scope, joints)
     velocity = _start_value(read(given, "velocity"), key, angle / TIME, subject, scope, joints)

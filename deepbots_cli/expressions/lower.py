@@ -91,6 +91,11 @@ def lower(value: Typed, owner: str, per_component: Components | None = None) -> 
     return tuple(parts[index if len(parts) > 1 else 0] for index, parts in enumerate(lowered))
 
 
+def stream_name(name: str) -> str:
+    """The name of the stream of a draw that is called `name` after its place in the scenario; `runtime.streams` says where they differ."""
+    return re.sub(r"^reset\.joints\.", "reset.set.", name)
+
+
 def constant_values(value: Typed) -> tuple[float | bool, ...] | None:
     """The SI values where they are known now; None for what is drawn, varies or cannot be computed."""
     scalars = lower(value, "")
@@ -137,7 +142,8 @@ class Lowering:
             case Family.DRAW:
                 columns = self._columns(value, value.args)
                 target = "" if value.type.components else self._target
-                return tuple(Draw(function.name, args, self._slot_name(value, index) + target) for index, args in enumerate(columns))
+                names = (stream_name(self._slot_name(value, index) + target) for index in range(len(columns)))
+                return tuple(Draw(function.name, args, name) for args, name in zip(columns, names, strict=True))
         if function.name == "length":  # of a line, known before anything runs
             return (Const(value.type.interval.low),)
         if function.reduction is not None and value.type.components is None and value.args[0].type.components is not None:

@@ -48,7 +48,7 @@ from deepbots_cli.program.task import ONLY_AGENT
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import RECORD_NAME, Source, SourceKind, folder_kind
 
-FORMAT = 4
+FORMAT = 5
 """Of the run directory as a whole; raised when an older deepbots could no longer read it."""
 
 ModelName = Literal["best", "last"]

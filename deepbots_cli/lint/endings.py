@@ -229,11 +229,11 @@ def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
 
     Example::
 
-        reset: {set: {cart.pole_hinge: uniform(20 .. 30 deg)}}
+        reset: {joints: {cart.pole_hinge: uniform(20 .. 30 deg)}}
 
     Instead::
 
-        reset: {set: {cart.pole_hinge: uniform(-1 .. 1 deg)}}
+        reset: {joints: {cart.pole_hinge: uniform(-1 .. 1 deg)}}
     """
     analysis, start = context.analysis, context.analysis.start
     for ending in context.program.endings:

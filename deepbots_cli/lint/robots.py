@@ -179,7 +179,7 @@ def limp_at_start(context: RuleContext) -> Iterator[Finding]:
             actuators: {shoulder: {type: torque_motor, joint: lbr_iiwa_joint_2}}
             emit: []
             apply: {shoulder: -60 N*m}
-        reset: {set: {arm.lbr_iiwa_joint_2: 60 deg}}
+        reset: {joints: {arm.lbr_iiwa_joint_2: 60 deg}}
 
     Instead::
 
@@ -192,7 +192,7 @@ def limp_at_start(context: RuleContext) -> Iterator[Finding]:
             actuators: {shoulder: {type: position_motor, joint: lbr_iiwa_joint_2}}
             emit: []
             apply: {shoulder: 60 deg}
-        reset: {set: {arm.lbr_iiwa_joint_2: 60 deg}}
+        reset: {joints: {arm.lbr_iiwa_joint_2: 60 deg}}
     """
     program, analysis, values = context.program, context.analysis, context.values
     if program.reset.settle or any(varied.what == "gravity" for varied in program.reset.variations):

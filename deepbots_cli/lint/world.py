@@ -275,11 +275,11 @@ def identical_episodes(context: RuleContext) -> Iterator[Finding]:
 
     Example::
 
-        reset: {set: {cart.pole_hinge: 1 deg}}
+        reset: {joints: {cart.pole_hinge: 1 deg}}
 
     Instead::
 
-        reset: {set: {cart.pole_hinge: uniform(-1 .. 1 deg)}}
+        reset: {joints: {cart.pole_hinge: uniform(-1 .. 1 deg)}}
     """
     program = context.program
     if program.agent.training is None or program.evaluation.episodes < 2 or program.cases or program.curriculum:

@@ -266,7 +266,7 @@ class Reset:
         found = [entry for path, places in arranged for place in places if place.body not in groups for entry in place.drawn(path)]
         for start in self.joint_starts:
             for joint, position, velocity in start.states:
-                path = f"reset.set.{start.robot}.{joint}"
+                path = f"reset.joints.{start.robot}.{joint}"
                 found += [NamedScalars(path, (), (position,)), NamedScalars(f"{path}.velocity", (), (velocity,))]
         yield from (entry for entry in found if any(map(is_drawn, entry.scalars)))
 

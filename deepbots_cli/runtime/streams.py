@@ -1,7 +1,8 @@
 """What an episode draws: random numbers with one stream per purpose, and values that `reset` is given in place of draws.
 
-Each stream is named by its place in the scenario (`reset.set.cart.pole_hinge#0`), and its seed depends on the root and
-that name alone. A new draw in a scenario therefore changes no other draw.
+Each stream is named by its place in the scenario (`parameters.fall_angle#0`), and its seed depends on the root and that name alone. A new
+draw in a scenario therefore changes no other draw. A new name would be a new seed, and so other episodes than those of all results so
+far: the streams of `reset.joints` are therefore still called `reset.set` (`expressions.lower.stream_name`).
 """
 
 from __future__ import annotations
@@ -119,7 +120,7 @@ def chosen_values(
     """The values that an episode takes in place of draws, for each of the `copies` of a robot, by the keys of `program.draws`.
 
     A name is that of a draw, such as `mark.x`, or that of a vector, such as `mark`. The name of a copy before it, as in
-    `cart#2.reset.set.cart.pole_hinge`, sets the value of this copy alone. Setting a value changes no other draw: its stream is drawn
+    `cart#2.reset.joints.cart.pole_hinge`, sets the value of this copy alone. Setting a value changes no other draw: its stream is drawn
     from all the same, and every other draw has a stream of its own.
 
     Args:

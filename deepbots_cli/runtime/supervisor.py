@@ -193,7 +193,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         Returns:
             The observation, float32 in the observation space, and the info of a step. This info also holds `drawn`: what this reset
             drew, in SI units, a number or a word for each name. A parameter has its own name (`mark.x`), all else its place in the
-            scenario (`reset.set.cart.pole_hinge`). Values that change within an episode, and noise, are left out.
+            scenario (`reset.joints.cart.pole_hinge`). Values that change within an episode, and noise, are left out.
 
         Raises:
             EvaluationError: An expression has no value, or the episode would end before its first step; names it.

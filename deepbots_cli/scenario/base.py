@@ -129,6 +129,19 @@ class Size:
         return value
 
 
+class InsteadOf:
+    """In the annotation of a key: the words that people write instead of it. The finding about such an unknown key shows this one."""
+
+    def __init__(self, *words: str) -> None:
+        self.words = words
+
+
+def key_instead_of(section: type[Section], word: str) -> str | None:
+    """The key of a section that `word` is written for."""
+    notes = ((key, note) for key, info in section.model_fields.items() for note in info.metadata)
+    return next((key for key, note in notes if isinstance(note, InsteadOf) and word in note.words), None)
+
+
 @dataclass(frozen=True)
 class ListOf:
     """The shape of a list."""

@@ -8,7 +8,7 @@ from pydantic import Field, PrivateAttr
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.message_formats import FORMATS
 from deepbots_cli.scenario.actuators import AnyActuator, JointPosition
-from deepbots_cli.scenario.base import FORMS, KeyCount, Many, Section, Size, visit_values
+from deepbots_cli.scenario.base import FORMS, InsteadOf, KeyCount, Many, Section, Size, visit_values
 from deepbots_cli.scenario.fields import (
     BodyName,
     Bool,
@@ -454,7 +454,7 @@ class Reset(Section):
 
     place: Places = {}
     """Where robots and objects stand, in this order; later ones avoid earlier ones."""
-    set: dict[Annotated[str, Reference("joints")], Annotated[JointState | JointAngle, FORMS]] = {}
+    joints: Annotated[dict[Annotated[str, Reference("joints")], Annotated[JointState | JointAngle, FORMS]], InsteadOf("set")] = {}
     """Positions of joints, such as `cart.pole_hinge: uniform(-1 .. 1 deg)`, or of a group."""
     layout: Annotated[Mixture | LayoutName, FORMS] | None = None
     """The layout to use, or several layouts with their shares, such as `{scattered: 88 %, paper: 12 %}`."""

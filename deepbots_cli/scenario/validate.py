@@ -26,6 +26,7 @@ from deepbots_cli.scenario.base import (
     Kinds,
     MappingOf,
     Shape,
+    key_instead_of,
     noun_of,
     set_paths,
     shape_at,
@@ -145,7 +146,8 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
         return _Problem(path, finding, (str(key),))
     if kind == "extra_forbidden":
         headline = f"unknown key `{str(path[-1])[:60]}` {_place(path[:-1])}"
-        help, near = _help_for_unknown(data, path) or about_key(data, path), replacement_for(data, path)
+        near = replacement_for(data, path)
+        help = _help_for_renamed(root, data, path) or _help_for_unknown(data, path) or about_key(data, path)
         key_node = descend(root, path)[1]
         return _Problem(path, Finding("DB101", _key_span(root, path), headline, help, fix=_fix(key_node, near)), replacement=near)
     node, key_node, _ = descend(root, path)
@@ -359,6 +361,16 @@ def about_key(data: object, path: NodePath) -> str | None:
     return f"`{key}`: {text[:1].lower()}{text[1:]}{shown}"
 
 
+def _help_for_renamed(root: nodes.MappingNode, data: object, path: NodePath) -> str | None:
+    """The help for a word that is written instead of a key: the entry with the key, if it stands on one line."""
+    section, (value, word, _) = shape_at(Scenario, data, path[:-1]), descend(root, path)
+    key = key_instead_of(section, str(path[-1])) if isinstance(section, type) else None
+    if key is None or word is None:
+        return None
+    behind = word.span.source.text[word.span.end : value.span.end] if value.span.source is word.span.source else ""
+    return f"write `{key}{behind}`" if re.fullmatch(rf":[^\n]{{1,{_MAX_EXAMPLE_CHARACTERS}}}", behind) else f"write `{key}`"
+
+
 def _help_for_unknown(data: object, path: NodePath) -> str | None:
     """The help for an unknown key: where it belongs, the probable key, or the known keys."""
     *_, key = map(str, path)
@@ -391,6 +403,8 @@ def replacement_for(data: object, path: NodePath) -> Replacement | None:
     section = shape_at(Scenario, data, path[:-1])
     if not isinstance(section, type):
         return None
+    if renamed := key_instead_of(section, str(path[-1])):
+        return Replacement(renamed, safe=True)
     near = suggest_replacement(str(path[-1]), tuple(section.model_fields), of_language=True)
     return near and near._replace(safe=near.safe and path[-1] not in _homes())
 

@@ -61,7 +61,7 @@ def test_the_hand_reaches_places_of_the_world_within_a_millimetre_and_keeps_its_
 
 
 def test_a_stretched_arm_finds_a_way_to_bend(arm: Make):
-    panda = arm("reset.set={panda.arm: 0 deg}")
+    panda = arm("reset.joints={panda.arm: 0 deg}")
     panda.reset(seed=0)
     act(panda, (0.0, 0.0, -1.0), ticks=80)
     assert panda.engine.pose("panda", "panda_grasptarget")()[0] == pytest.approx(where((0, 0, -1)), abs=1e-3)
@@ -117,7 +117,7 @@ def test_the_same_commands_give_the_same_motion_after_any_past(arm: Make):
 
 @pytest.mark.parametrize("route", ["latency: 1 s", "loss: 100 %"])
 def test_an_arm_whose_first_command_is_late_or_lost_does_not_fall(arm: Make, route: str):
-    panda = arm(f"messages.to_robot={{{route}}}", "reset.set={panda.arm: ready, panda.fingers: 30 mm}")
+    panda = arm(f"messages.to_robot={{{route}}}", "reset.joints={panda.arm: ready, panda.fingers: 30 mm}")
     states = panda.engine.joint_states("panda", (*JOINTS, "panda_finger_joint1"))
     panda.reset(seed=0)
     before = [state[0] for state in states()]

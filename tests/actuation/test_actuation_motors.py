@@ -18,7 +18,7 @@ Make = Callable[..., Supervisor]
 
 TICK = 0.02
 FORWARD, BACKWARD = 0, 1
-ENDLESS = ("termination={failure: {off: abs(cart.place) > 1000 m}}", "reset={set: {cart.hinge: 180 deg}}")
+ENDLESS = ("termination={failure: {off: abs(cart.place) > 1000 m}}", "reset={joints: {cart.hinge: 180 deg}}")
 
 
 def speeds(environment: Supervisor, ticks: int, action: int = FORWARD, seed: int = 0) -> list[float]:
@@ -141,7 +141,7 @@ def test_a_perfect_motor_prints_the_writer_of_the_engine_and_nothing_of_a_device
 
 
 def test_actuators_hold_while_the_world_settles(rail: Make):
-    tilted = "reset={set: {cart.hinge: 90 deg}, settle: 0.4 s}"
+    tilted = "reset={joints: {cart.hinge: 90 deg}, settle: 0.4 s}"
     held = rail(ENDLESS[0], tilted, max_torque="100 kN")
     held.reset(seed=0)
     assert held.engine.joint_states("cart", ("slider",))()[0][0] == pytest.approx(0.0, abs=1e-6)
@@ -158,7 +158,7 @@ def test_actuators_hold_while_the_world_settles(rail: Make):
     "late", ["messages.to_robot={latency: 100 ms}", "messages.timing=delayed", "robots.cart.actuators.motor.delay=100 ms"]
 )
 def test_a_motor_holds_until_its_first_command_takes_effect(rail: Make, target: str, late: str):
-    command = (f"robots.cart.apply.motor=drive * {target}", "reset={set: {cart.hinge: 45 deg, cart.slider: 0.3 m}}")
+    command = (f"robots.cart.apply.motor=drive * {target}", "reset={joints: {cart.hinge: 45 deg, cart.slider: 0.3 m}}")
     kind = {"1 m/s": "velocity_motor", "1 m": "position_motor"}[target]
     held = rail(ENDLESS[0], *command, late, type=kind, max_torque="100 kN")
     held.reset(seed=0)

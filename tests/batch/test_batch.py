@@ -120,7 +120,7 @@ reward: {{
   sum: (joint_position(hand.left) + joint_position(hand.right)) / m,
   left: joint_position(hand.left) / m,
 }}
-reset: {{set: {{hand.fingers: uniform(0 .. 40 mm)}}}}
+reset: {{joints: {{hand.fingers: uniform(0 .. 40 mm)}}}}
 truncation: {{max_steps: 20}}
 """
 
@@ -230,8 +230,8 @@ def test_a_batch_takes_the_options_of_a_single_world_back(cartpole: Compiled) ->
         observations, infos = batch.reset(seed=0, options=info["drawn"])
         for world in range(3):
             assert_same(observation, observations[world])
-        assert infos["drawn"]["reset.set.cart.pole_hinge"].tolist() == [info["drawn"]["reset.set.cart.pole_hinge"]] * 3
-        assert len(set(batch.reset(seed=0)[1]["drawn"]["reset.set.cart.pole_hinge"].tolist())) == 3
+        assert infos["drawn"]["reset.joints.cart.pole_hinge"].tolist() == [info["drawn"]["reset.joints.cart.pole_hinge"]] * 3
+        assert len(set(batch.reset(seed=0)[1]["drawn"]["reset.joints.cart.pole_hinge"].tolist())) == 3
 
 
 def test_the_episodes_of_a_batch_go_on_after_options_that_were_refused(cartpole: Compiled) -> None:
@@ -239,7 +239,7 @@ def test_the_episodes_of_a_batch_go_on_after_options_that_were_refused(cartpole:
         batch.reset(seed=0)
         first = batch.step(np.zeros(2, int))[0]
         with pytest.raises(UsageError, match="drawn from"):
-            batch.reset(options={"reset.set.cart.pole_hinge": 9.0})
+            batch.reset(options={"reset.joints.cart.pole_hinge": 9.0})
         assert not np.array_equal(batch.step(np.zeros(2, int))[0], first)
 
 

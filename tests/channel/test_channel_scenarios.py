@@ -115,7 +115,7 @@ def test_age_counts_from_measurement_and_fresh_says_that_one_came(make: Make, ro
 
 def test_the_first_message_of_an_episode_is_there_at_once(make: Make) -> None:
     observed = "observation={stale: 0 .. 1 s, came: auto, cart.place: -2.4 .. 2.4 m}"
-    environment = make("messages.from_robot={latency: 300 ms, loss: 0.9}", observed, "reset.set={cart.slider: 1.2 m}", more=TOLD)
+    environment = make("messages.from_robot={latency: 300 ms, loss: 0.9}", observed, "reset.joints={cart.slider: 1.2 m}", more=TOLD)
     assert environment.reset(seed=0)[0].tolist() == pytest.approx([-1.0, 1.0, 0.5])
 
 

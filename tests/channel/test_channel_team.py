@@ -20,7 +20,7 @@ from deepbots_cli.runtime.copies import CopiesSupervisor
 TEAM = Path(__file__).parent / "team.yaml"
 RAIL = Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml"
 ASIDE = (0.0, 1.0, 0.0)
-CALM = "reset.set={cart.hinge: 0.02 rad}"
+CALM = "reset.joints={cart.hinge: 0.02 rad}"
 Make = Callable[..., CopiesSupervisor]
 
 

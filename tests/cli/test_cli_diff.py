@@ -32,7 +32,7 @@ SINGLE = [
     ("robots.cart.links={pole: {mass: 1 kg}}", "world", "robots.cart.links.pole"),
     ("messages.timing=delayed", "world", "messages.timing"),
     ("messages.to_robot={latency: 40 ms}", "world", "messages.to_robot"),
-    ("reset.set.cart\\.pole_hinge=uniform(-5 .. 5 deg)", "world", "reset.set.cart.pole_hinge"),
+    ("reset.joints.cart\\.pole_hinge=uniform(-5 .. 5 deg)", "world", "reset.joints.cart.pole_hinge"),
     ("agent={action_repeat: 2}", "world", "agent.action_repeat"),
     ("train.gamma=0.9", "training", "train.gamma"),
     ("train.policy.hidden=[32]", "training", "train.policy.hidden"),
@@ -58,7 +58,7 @@ def differences(deepbots, *words: object) -> tuple[int, dict[tuple[str, str], di
 @pytest.mark.parametrize(("setting", "group", "path"), SINGLE, ids=[setting.partition("=")[0] for setting, _, _ in SINGLE])
 def test_a_single_setting_is_found_at_its_path_and_in_its_group(deepbots, setting, group, path):
     if "cart\\." in setting:
-        (Path("other.yaml")).write_text("deepbots: 1\nextends: cartpole.yaml\nreset: {set: {cart.pole_hinge: uniform(-5 .. 5 deg)}}\n")
+        (Path("other.yaml")).write_text("deepbots: 1\nextends: cartpole.yaml\nreset: {joints: {cart.pole_hinge: uniform(-5 .. 5 deg)}}\n")
         deepbots("copy", "cartpole")
         code, found = differences(deepbots, "cartpole.yaml", "other.yaml")
     else:

@@ -198,7 +198,7 @@ GUESSES = [
 
 
 GUESSES += [
-    ("reset: {set: {cart.pole_hinge: uniform(-90 .. 2.50 deg)}}", "reset: {set: {cart.pole_hinge: uniform(-74.48 .. 2.50 deg)}}"),
+    ("reset: {joints: {cart.pole_hinge: uniform(-90 .. 2.50 deg)}}", "reset: {joints: {cart.pole_hinge: uniform(-74.48 .. 2.50 deg)}}"),
     ("robots: {cart: {actuators: {wheels: {max_torque: 20 N*m}}}}", "robots: {cart: {actuators: {wheels: {max_torque: 10 N*m}}}}"),
     (
         "robots: {cart: {actuators: {wheels: {max_velocity: 1_200 rpm}}}}",
@@ -225,7 +225,7 @@ GUESSES += [
 def test_a_guess_is_made_although_an_ending_holds_at_once(deepbots, scenario, tmp_path):
     scenario(CARTPOLE)
     upon = tmp_path / "b.yaml"
-    upon.write_text("deepbots: 1\nextends: a.yaml\nreset: {set: {cart.pole_hinge: 90 deg}}\n")
+    upon.write_text("deepbots: 1\nextends: a.yaml\nreset: {joints: {cart.pole_hinge: 90 deg}}\n")
     assert "DB806" in deepbots("lint", "b.yaml", "--fix", "--unsafe-fixes").out
     assert upon.read_text().endswith("{cart.pole_hinge: 74.48 deg}}\n")
 

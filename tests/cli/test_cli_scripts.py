@@ -172,8 +172,8 @@ def test_elsewhere_there_is_a_line_for_every_tenth():
 
 def test_a_start_is_set_on_the_command_line(deepbots, scripted):
     words = (scripted, "--script", "onward", "--episodes", "2")
-    upright = ran(deepbots, *words, "--start", "reset.set.cart.pole_hinge=0.01")
-    assert upright["start"] == {"reset.set.cart.pole_hinge": 0.01}
+    upright = ran(deepbots, *words, "--start", "reset.joints.cart.pole_hinge=0.01")
+    assert upright["start"] == {"reset.joints.cart.pole_hinge": 0.01}
     first, second = upright["episodes"]
     assert first == second
 
@@ -182,10 +182,10 @@ def test_a_start_is_set_on_the_command_line(deepbots, scripted):
     ("start", "said"),
     [
         ("pole=0.01", "cannot set 'pole': "),
-        ("reset.set.cart.pole_hinge=far", "it is a single number"),
-        ("reset.set.cart.pole_hinge=nan", "it is not finite"),
+        ("reset.joints.cart.pole_hinge=far", "it is a single number"),
+        ("reset.joints.cart.pole_hinge=nan", "it is not finite"),
         ("mark=[0.01,0.05]", "write the numbers with commas alone: --start mark=0.01,0.05"),
-        ("reset.set.cart.pole_hinge", "write NAME=VALUE, such as --start mark.x=0.5"),
+        ("reset.joints.cart.pole_hinge", "write NAME=VALUE, such as --start mark.x=0.5"),
     ],
 )
 def test_a_start_that_no_episode_has_ends_in_one_line(deepbots, scripted, start, said):

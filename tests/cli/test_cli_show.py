@@ -159,7 +159,17 @@ def test_run_shows_returns_endings_and_terms(deepbots):
 
 
 def test_the_start_of_an_episode_of_run_can_be_given_back(deepbots):
-    words = ["run", "cartpole", "--set", "reset.set.cart.pole_hinge=uniform(-3 .. 3 deg)", "--policy", "zero", "--episodes", "2", "--json"]
+    words = [
+        "run",
+        "cartpole",
+        "--set",
+        "reset.joints.cart.pole_hinge=uniform(-3 .. 3 deg)",
+        "--policy",
+        "zero",
+        "--episodes",
+        "2",
+        "--json",
+    ]
     _, second = json.loads(deepbots(*words).out)["episodes"]
     ((name, value),) = second["drawn"].items()
     first, _ = json.loads(deepbots(*words, "--start", f"{name}={value!r}").out)["episodes"]

@@ -40,7 +40,7 @@ termination:
   success: {there: driven > edge}
   failure: {back: driven < -3 mm}
 truncation: {max_steps: 50}
-reset: {set: {cart.slider: start}}
+reset: {joints: {cart.slider: start}}
 scripts:
   onward: {drive: 1}
   homeward: {drive: -1}

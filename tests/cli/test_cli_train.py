@@ -212,8 +212,8 @@ def test_a_gate_without_a_success_is_decided_long_before_the_last_episode(deepbo
     with (tmp_path / "episodes.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [float(row["return"]) for row in rows] == [episode["total_return"] for episode in found["outcomes"]]
-    assert [float(row["drawn.reset.set.cart.pole_hinge"]) for row in rows] == [
-        episode["drawn"]["reset.set.cart.pole_hinge"] for episode in found["outcomes"]
+    assert [float(row["drawn.reset.joints.cart.pole_hinge"]) for row in rows] == [
+        episode["drawn"]["reset.joints.cart.pole_hinge"] for episode in found["outcomes"]
     ]
 
 

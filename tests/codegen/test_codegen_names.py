@@ -48,7 +48,7 @@ reward:
   {awkward}: {awkward} / m
   first: rise / m
 truncation: {{max_steps: 50}}
-reset: {{set: {{cart.hinge: 1 rad}}}}
+reset: {{joints: {{cart.hinge: 1 rad}}}}
 """
 
 

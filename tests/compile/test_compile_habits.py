@@ -27,7 +27,7 @@ UNITS = {
     "robots: {cart: {sensors: {pole_angle: {noise: 1}}}}": "`1 deg` or `1 rad`",
     "robots: {cart: {actuators: {wheels: {max_torque: 3}}}}": "`3 N*m`",
     "robots: {cart: {actuators: {wheels: {delay: 16}}}}": "`16 ms`",
-    "reset: {set: {cart.pole_hinge: 15}}": "`15 deg`",
+    "reset: {joints: {cart.pole_hinge: 15}}": "`15 deg`",
     "observation: {cart.pole_angle: -20 .. 20}": "`-20 .. 20 deg`",
     "observation: {speed: -0.8 .. 0.8}": "`-0.8 .. 0.8 m/s`",
     "termination: {failure: {fast: speed > 2}}": "`2 m/s`",

@@ -22,7 +22,7 @@ def test_the_parts_of_a_robot_go_by_short_names_inside_of_it_and_by_full_ones_el
     inside = names_at(rocking, "joint", ("robots", "roller", "actuators", "pitch_motor", "joint"))
     assert [found.name for found in inside] == ["pitch", "yaw"]
     assert {found.description for found in inside} == {"a continuous joint"}
-    assert [found.name for found in names_at(rocking, "joints", ("reset", "set"))] == ["roller.pitch", "roller.yaw"]
+    assert [found.name for found in names_at(rocking, "joints", ("reset", "joints"))] == ["roller.pitch", "roller.yaw"]
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def test_an_operation_that_cannot_be_computed_is_left_to_fail_where_it_runs(benc
 
 def test_every_draw_has_a_stream_of_its_own_named_after_its_owner(bench):
     drawn = bench.clean("uniform(0 .. 1 m) + uniform(0 .. 1 m)", Context.RESET)
-    (both,) = lower(drawn, "reset.set.x")
+    (both,) = lower(drawn, "reset.joints.x")
     assert [arg.stream for arg in both.args] == ["reset.set.x#0", "reset.set.x#1"]
     vector = bench.clean("uniform(-1 -1 .. 1 1 m)", Context.RESET)
     assert [scalar.stream for scalar in lower(vector, "p")] == ["p#0.x", "p#0.y"]

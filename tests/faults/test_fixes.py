@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from zlib import crc32
 
 import pytest
 
@@ -38,8 +39,9 @@ def folder(project: Project) -> Path:
 
 @pytest.fixture(scope="module")
 def offers(folder: Path) -> dict[Path, list[Finding]]:
-    """What lint says, in preview too, of every third scenario with a fix."""
-    linted = {path: api.lint(path, preview=True) for path in sorted(folder.glob("err/*.yaml"))[1::3]}
+    """What lint says, in preview too, of a third of the scenarios with a fix; a new scenario does not change the choice of others."""
+    chosen = [path for path in sorted(folder.glob("err/*.yaml")) if crc32(path.name.encode()) % 3 == 0]
+    linted = {path: api.lint(path, preview=True) for path in chosen}
     return {path: found for path, found in linted.items() if any(finding.fix for finding in found)}
 
 

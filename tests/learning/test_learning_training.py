@@ -380,12 +380,12 @@ def test_a_drawn_value_stands_in_the_log_of_its_episode(tmp_path: Path) -> None:
     class Drawing(stand_in.CartPole):
         def reset(self, **settings: Any) -> Any:
             observation, info = super().reset(**settings)
-            return observation, info | {"drawn": {"reset.set.cart.pole_hinge": self.angle}}
+            return observation, info | {"drawn": {"reset.joints.cart.pole_hinge": self.angle}}
 
     run = train(stand_in.compiled(), run=tmp_path / "run", build=Drawing).run
     with (run / "monitor.csv").open(newline="") as file:
         next(file)
-        drawn = [json.loads(row["drawn"])["reset.set.cart.pole_hinge"] for row in csv.DictReader(file)]
+        drawn = [json.loads(row["drawn"])["reset.joints.cart.pole_hinge"] for row in csv.DictReader(file)]
     assert len(set(drawn)) == len(drawn) > 5
 
 

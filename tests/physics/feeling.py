@@ -56,7 +56,7 @@ def on_a_turning_arm() -> Iterator[Row]:
         " sensors: {accel: {type: accelerometer, link: arm, pose: {x: 50 cm}}, gyro: {type: gyro, link: arm, pose: {pitch: 90 deg}}},"
         " emit: [accel, gyro]"
     )
-    start = f"set: {{subject.hinge: {{position: 0 deg, velocity: {rate} rad/s}}}}"
+    start = f"joints: {{subject.hinge: {{position: 0 deg, velocity: {rate} rad/s}}}}"
     with trial({"subject.accel": ("", "m/s^2"), "subject.gyro": ("", "rad/s")}, robot=subject, reset=start, files=FILES) as world:
         rows = world.run(50)
     expected = np.array([-(rate**2) * 0.5, 0, G])
@@ -73,7 +73,7 @@ def gyro_of_a_floating_body() -> Iterator[Row]:
 
 
 def inclination() -> Iterator[Row]:
-    lean = "set: {}, place: {subject: {z: 5 m, rpy: 25 -40 100 deg}}"
+    lean = "joints: {}, place: {subject: {z: 5 m, rpy: 25 -40 100 deg}}"
     with trial(SEEN, world="gravity: 0 0 -1 mm/s^2", robot=f"urdf: brick.urdf, {INERTIAL}", reset=lean, files=FILES) as world:
         down = world.run(1)[0, 6:9]
     roll, pitch = radians(25), radians(-40)
@@ -92,7 +92,7 @@ def rays() -> Iterator[Row]:
     base = "urdf: brick.urdf, base: fixed, pose: {z: 0.5 m}, " + fan % "brick"
     link = "urdf: arm.urdf, base: fixed, pose: {z: 0.5 m, yaw: -50 deg}, " + fan % "arm"
     for what, objects, expected in (("a wall", wall, to_wall), ("a ball", ball, to_ball)):
-        for whence, robot, reset in (("a base", base, ""), ("a link that turns", link, "set: {subject.hinge: 50 deg}")):
+        for whence, robot, reset in (("a base", base, ""), ("a link that turns", link, "joints: {subject.hinge: 50 deg}")):
             with trial({"subject.eye": ("", "m")}, objects=objects, robot=robot, reset=reset, files=FILES) as world:
                 seen = world.run(1)[0]
             yield Row(f"rays from {whence} to {what}", max(map(off, seen, expected)), "%", 0.1)
@@ -105,7 +105,7 @@ def rays_while_turning() -> Iterator[Row]:
         "urdf: arm.urdf, base: fixed, pose: {z: 0.5 m},"
         " sensors: {eye: {type: laser, link: arm, pose: {x: 30 cm}, range: 0 .. 5 m}}, emit: [eye]"
     )
-    start = "set: {subject.hinge: {position: 0 deg, velocity: 1 rad/s}}"
+    start = "joints: {subject.hinge: {position: 0 deg, velocity: 1 rad/s}}"
     with trial({"subject.eye": ("", "m")}, objects=wall, robot=robot, reset=start, files=FILES) as world:
         seen, time = world.run(50)[:, 0], world.times(50)
     expected = 1 / np.cos(time) - 0.3

@@ -35,7 +35,7 @@ def period(amplitude: float, substeps: int) -> float:
         timestep=0.01,
         substeps=substeps,
         robot=subject,
-        reset=f"set: {{subject.hinge: {amplitude} deg}}",
+        reset=f"joints: {{subject.hinge: {amplitude} deg}}",
         files={"pendulum.urdf": robots.PENDULUM},
     ) as world:
         angle, time = world.run(1500)[:, 0], world.times(1500)
@@ -64,7 +64,7 @@ def conical_pendulum() -> Iterator[Row]:
         timestep=tick,
         substeps=10,
         robot=subject,
-        reset=f"set: {{{start}}}",
+        reset=f"joints: {{{start}}}",
         files={"pendulum.urdf": robots.BALL_PENDULUM},
     ) as world:
         ticks = 400
@@ -85,7 +85,7 @@ def circular_motion() -> Iterator[Row]:
         {"subject.spot": ("", "m"), "subject.pace": ("", "m/s")},
         timestep=tick,
         robot=subject,
-        reset=f"set: {{subject.hinge: {{position: 0 deg, velocity: {rate} rad/s}}}}",
+        reset=f"joints: {{subject.hinge: {{position: 0 deg, velocity: {rate} rad/s}}}}",
         files={"arm.urdf": robots.ARM},
     ) as world:
         rows, time = world.run(300), world.times(300)

@@ -16,7 +16,7 @@ Small = Callable[..., Supervisor]
 GOAL = """\
 parameters: {mark: uniform(-0.3 .. 0.3 m)}
 goal: {achieved: position(cart.cart).x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
-reset: {set: {cart.slider: uniform(-0.3 .. 0.3 m)}}
+reset: {joints: {cart.slider: uniform(-0.3 .. 0.3 m)}}
 """
 SPARSE = "reward: {miss: -1 when not goal_reached}\n"
 DENSE = "reward: {near: exp(-abs(achieved - desired) / 10 cm), miss: -0.5 when not goal_reached, alive: 0.1}\n"
@@ -27,7 +27,7 @@ augment:
   at: {value: position(cart.cart).x, noise: 2 cm}
   left: mark - at
 goal: {achieved: at, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
-reset: {set: {cart.slider: uniform(-0.3 .. 0.3 m)}}
+reset: {joints: {cart.slider: uniform(-0.3 .. 0.3 m)}}
 """
 PLANE = """\
 parameters:
@@ -143,7 +143,7 @@ def test_an_episode_that_is_cut_short_succeeds_if_the_goal_is_reached_then(small
 
 def test_reaching_the_goal_may_end_the_task(small: Small) -> None:
     environment = small(
-        GOAL + SPARSE + "termination: {success: {there: goal_reached}}\n", "world.timestep=1 s", "reset.set={cart.slider: 0.39 m}"
+        GOAL + SPARSE + "termination: {success: {there: goal_reached}}\n", "world.timestep=1 s", "reset.joints={cart.slider: 0.39 m}"
     )
     environment.reset(seed=0)
     for _ in range(60):
@@ -154,7 +154,7 @@ def test_reaching_the_goal_may_end_the_task(small: Small) -> None:
 
 
 def test_what_lies_beyond_the_range_counts_as_its_end(small: Small) -> None:
-    environment = small(GOAL + "reward: {at: achieved / m}\n", "reset.set={cart.slider: 2 m}")
+    environment = small(GOAL + "reward: {at: achieved / m}\n", "reset.joints={cart.slider: 2 m}")
     observation, _ = environment.reset(seed=0)
     assert observation["achieved_goal"].item() == 1.0
     assert environment.step(np.zeros(1, np.float32))[1] == pytest.approx(0.4)

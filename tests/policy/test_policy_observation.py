@@ -138,7 +138,7 @@ def test_noise_is_the_same_for_the_same_seed(small: Small) -> None:
 
 
 def test_noise_on_one_value_changes_no_other_draw(small: Small) -> None:
-    sections = "reward: {pay: drive}\nreset: {set: {cart.slider: uniform(-0.1 .. 0.1 m)}}\n"
+    sections = "reward: {pay: drive}\nreset: {joints: {cart.slider: uniform(-0.1 .. 0.1 m)}}\n"
     plain = observe(small, "{cart.place: -1 .. 1 m, cart.lean: {range: -1 .. 1 rad, noise: 0.01 rad}}", sections=sections)
     more = observe(
         small,

@@ -34,7 +34,7 @@ parameters:
   crates: integer(1 .. 4)
   noisy: uniform(0 .. 1) each step
 reset:
-  set: {cart.slider: uniform(-1 .. 1 m), cart.hinge: {position: 0 rad, velocity: uniform(-1 .. 1 rad/s)}}
+  joints: {cart.slider: uniform(-1 .. 1 m), cart.hinge: {position: 0 rad, velocity: uniform(-1 .. 1 rad/s)}}
 reward:
   x: mark.x / 1 m
   y: mark.y / 1 m
@@ -71,8 +71,8 @@ def test_what_is_computed_from_a_value_that_was_set_follows_it(env: Supervisor) 
 
 
 def test_reset_options_set_joints_by_their_path(env: Supervisor) -> None:
-    assert drawn(env, options={"reset.set.cart.slider": 0.5})["place"] == pytest.approx(0.5)
-    assert drawn(env, options={"reset.set.cart.hinge.velocity": -0.75})["lean"] == pytest.approx(-0.75 * 0.02, rel=0.1)
+    assert drawn(env, options={"reset.joints.cart.slider": 0.5})["place"] == pytest.approx(0.5)
+    assert drawn(env, options={"reset.joints.cart.hinge.velocity": -0.75})["lean"] == pytest.approx(-0.75 * 0.02, rel=0.1)
 
 
 def test_other_draws_of_this_episode_and_of_later_ones_stay_as_they_are(env: Supervisor) -> None:
@@ -102,7 +102,7 @@ def test_a_limit_as_a_float32_is_that_limit(env: Supervisor) -> None:
     [
         (
             {"marc": [0.6, 0]},
-            r"'marc': did you mean 'mark'\? Small draws 'mark', 'mark\.x', 'mark\.y', 'side', .*'reset\.set\.cart\.slider'",
+            r"'marc': did you mean 'mark'\? Small draws 'mark', 'mark\.x', 'mark\.y', 'side', .*'reset\.joints\.cart\.slider'",
         ),
         ({"stride": 0.1}, r"'stride': it is a fixed parameter.*by overrides=\['stride=\.\.\.'\]"),
         ({"twice": 0.1}, "'twice': it is computed from other parameters; set those"),
@@ -121,7 +121,7 @@ def test_a_limit_as_a_float32_is_that_limit(env: Supervisor) -> None:
         ({"side": True}, r"'side' to True: it is a single number"),
         ({"crates": 2.5}, r"'crates' to 2\.5: it is a whole number from 1 to 4"),
         ({"push": 3}, r"'push' to 3: it is drawn from -2 to 2"),
-        ({"reset.set.cart.slider": 5}, r"'reset\.set\.cart\.slider' to 5: it is drawn from -1 to 1"),
+        ({"reset.joints.cart.slider": 5}, r"'reset\.joints\.cart\.slider' to 5: it is drawn from -1 to 1"),
     ],
 )
 def test_an_option_that_the_episode_could_not_have_drawn_is_refused(env: Supervisor, options: dict[str, Any], said: str) -> None:
@@ -187,8 +187,8 @@ def test_copies_record_the_draw_of_the_one_bar_that_acts_once(team: Supervisor) 
         "reset.place.bar.y",
         "reset.place.crate.x",
         "reset.place.crate.y",
-        "cart#1.reset.set.cart.pole_hinge",
-        "cart#2.reset.set.cart.pole_hinge",
+        "cart#1.reset.joints.cart.pole_hinge",
+        "cart#2.reset.joints.cart.pole_hinge",
     }
     assert team.engine.pose("bar")()[0][1] == drawn["reset.place.bar.y"]
     assert team.engine.pose("crate")()[0][:2] == (drawn["reset.place.crate.x"], drawn["reset.place.crate.y"])
@@ -203,18 +203,18 @@ def test_what_copies_drew_is_taken_back(team: Supervisor) -> None:
 
 def test_the_draw_of_one_copy_is_set(team: Supervisor) -> None:
     plain = team.reset(seed=1)[1]["drawn"]
-    options = {"cart#2.reset.set.cart.pole_hinge": 0.01}
+    options = {"cart#2.reset.joints.cart.pole_hinge": 0.01}
     assert team.reset(seed=1, options=options)[1]["drawn"] == plain | options
-    both = team.reset(seed=1, options={"reset.set.cart.pole_hinge": 0.0, **options})[1]["drawn"]
-    assert both == plain | {"cart#1.reset.set.cart.pole_hinge": 0.0} | options
+    both = team.reset(seed=1, options={"reset.joints.cart.pole_hinge": 0.0, **options})[1]["drawn"]
+    assert both == plain | {"cart#1.reset.joints.cart.pole_hinge": 0.0} | options
 
 
 @pytest.mark.parametrize(
     ("options", "said"),
     [
         ({"cart#2.reset.place.bar.y": 0.1}, r"'cart#2\.reset\.place\.bar\.y': all copies share this draw; write 'reset\.place\.bar\.y'"),
-        ({"cart#3.reset.set.cart.pole_hinge": 0.0}, r"'cart#3\.reset\.set\.cart\.pole_hinge': did you mean 'reset"),
-        ({"cart#2.reset.set.cart.pole_hinge": 3.0}, r"pole_hinge' to 3: it is drawn from"),
+        ({"cart#3.reset.joints.cart.pole_hinge": 0.0}, r"'cart#3\.reset\.joints\.cart\.pole_hinge': did you mean 'reset"),
+        ({"cart#2.reset.joints.cart.pole_hinge": 3.0}, r"pole_hinge' to 3: it is drawn from"),
     ],
 )
 def test_a_wrong_option_for_one_copy_is_refused(team: Supervisor, options: dict[str, Any], said: str) -> None:
@@ -230,7 +230,7 @@ def test_a_value_of_one_copy_that_is_given_twice_is_refused(team: Supervisor, ma
 
 
 def test_a_team_takes_a_parameter_for_all_copies(team: Supervisor) -> None:
-    team.reset(options={"mark": 0.25, "reset.set.cart.pole_hinge": 0.01})
+    team.reset(options={"mark": 0.25, "reset.joints.cart.pole_hinge": 0.01})
     *_, info = team.step(team.action_space.sample())
     assert info["reward_terms"]["mark"] == 0.25
 

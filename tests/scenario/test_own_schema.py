@@ -89,7 +89,7 @@ def test_joints_are_listed_with_their_type_and_limits(own: Own) -> None:
         ("Robot.cart", "joints", {"pole_hinge"}),
         ("Robot.cart", "apply", {"wheels"}),
         ("Scenario", "observation", {"cart.pole_angle", "speed", "tip_speed", "previous_action"}),
-        ("Reset", "set", {"cart.pole_hinge", "cart.wheel_rear_left"}),
+        ("Reset", "joints", {"cart.pole_hinge", "cart.wheel_rear_left"}),
         ("Reset", "place", {"cart"}),
         ("Disturbance", "body", {"cart", "cart.pole"}),
         ("Stage", "set", {"fall_angle", "track", "wheel_speed"}),
@@ -137,7 +137,7 @@ FAULTS: dict[str, tuple[str, str, tuple[Step, ...]]] = {
         "{type: gyro, link: pol}",
         ("robots", "cart", "sensors", "pole_angle", "link"),
     ),
-    "an unknown joint of a start": ("cart.pole_hinge: uniform", "cart.pole_hing: uniform", ("reset", "set")),
+    "an unknown joint of a start": ("cart.pole_hinge: uniform", "cart.pole_hing: uniform", ("reset", "joints")),
     "an unknown joint to be changed": (
         "    emit:",
         "    joints: {pole_hing: {damping: 0 N*m*s/rad}}\n    emit:",

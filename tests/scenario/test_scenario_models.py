@@ -50,7 +50,7 @@ def test_the_visit_hands_out_kinds_with_what_they_mean() -> None:
     assert found[("observation", "speed"), Range] == (Range("any", auto=True), "-0.8 .. 0.8 m/s")
     assert found[("observation", "speed"), Reference] == (Reference("value"), "speed")
     assert found[("robots", "cart", "actuators", "wheels", "joints", 0), Reference] == (Reference("joints"), "wheel_*")
-    assert found[("reset", "set", "cart.pole_hinge"), Quantity] == (Quantity("angle or length", known="episode"), "uniform(-1 .. 1 deg)")
+    assert found[("reset", "joints", "cart.pole_hinge"), Quantity] == (Quantity("angle or length", known="episode"), "uniform(-1 .. 1 deg)")
 
 
 def test_patterns_of_links_are_visited_as_keys() -> None:

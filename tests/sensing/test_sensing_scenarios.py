@@ -34,7 +34,7 @@ action: {drive: -1 .. 1}
 observation: {cart.place: -1 .. 1 m, cart.eye: {range: %s, clip: false}}
 reward: {a: 1}
 truncation: {max_steps: 1000}
-reset: {set: {cart.slider: uniform(-0.2 .. 0.2 m)}}
+reset: {joints: {cart.slider: uniform(-0.2 .. 0.2 m)}}
 """
 Make = Callable[[str, str], Supervisor]
 METRE = "-1 .. 1 m"

@@ -180,7 +180,7 @@ _PATHS: tuple[tuple[str, str, Effect], ...] = (
     (r"(parameters|disturbances)/([^/]+)", r"\1.\2", Effect.world),
     (r"reset/variations/([^/]+)", r"\1", Effect.world),
     (r"reset/placements/([^/]+)", r"reset.place.\1", Effect.world),
-    (r"reset/joint_starts/([^/]+)/states/([^/]+)", r"reset.set.\1.\2", Effect.world),
+    (r"reset/joint_starts/([^/]+)/states/([^/]+)", r"reset.joints.\1.\2", Effect.world),
     (r"reset/groups/([^/]+)", r"objects.\1.count", Effect.world),
     (r"reset/layouts/([^/]+)", r"reset.layouts.\1", Effect.world),
     (r"reset/(\w+)", r"reset.\1", Effect.world),
