@@ -457,7 +457,7 @@ def _training(scenario: Program, root: Node, run: Run | None) -> Tables:
     if training is None:
         return {}
     total = run.record.total_timesteps if run else training.total_timesteps
-    network = {"policy.hidden": training.network.hidden, "policy.activation": training.network.activation}
+    network = {"network.hidden": training.network.hidden, "network.activation": training.network.activation}
     rows = [
         EffectiveHyperparameter(name, value, "scenario" if text_at(root, "train", *name.split(".")) else "deepbots")
         for name, value in {"environments": training.environments, **network}.items()

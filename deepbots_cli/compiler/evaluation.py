@@ -93,7 +93,7 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
         spec.train.total_timesteps,
         spec.train.environments,
         tuple(hyperparameters),
-        Network(tuple(spec.train.policy.hidden), spec.train.policy.activation),
+        Network(tuple(spec.train.network.hidden), spec.train.network.activation),
         _action_noise(own.get("action_noise")),
         replay,
         spec.train.normalize,

@@ -181,7 +181,7 @@ class Forms:
 
     def index(self, value: object) -> int | None:
         """The index of the option whose form `value`, raw or validated, has."""
-        return next((i for i, option in enumerate(self.options) if _fits(option, value)), None)
+        return next((i for i, option in enumerate(self.options) if fits(option, value)), None)
 
     def choose(self, value: object) -> Shape | None:
         index = self.index(value)
@@ -191,7 +191,8 @@ class Forms:
 FORMS = Forms()
 
 
-def _fits(shape: Shape, value: object) -> bool:
+def fits(shape: Shape, value: object) -> bool:
+    """Whether a value, raw or validated, has the form that a shape takes: a single value, a list, a mapping."""
     if isinstance(value, Section):
         return shape is type(value)
     match shape:
@@ -202,6 +203,8 @@ def _fits(shape: Shape, value: object) -> bool:
             return isinstance(value, (list, tuple))
         case MappingOf() | Kinds():
             return isinstance(value, dict)
+        case Forms():
+            return shape.index(value) is not None
         case type():
             return isinstance(value, dict) and (not shape.identifying_keys or not shape.identifying_keys.isdisjoint(value))
         case _:

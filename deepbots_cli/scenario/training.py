@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from deepbots_cli.plugins import PluginTable
-from deepbots_cli.scenario.base import FORMS, Kinds, Many, Section, check_kind_model
+from deepbots_cli.scenario.base import FORMS, InsteadOf, Kinds, Many, Section, check_kind_model
 from deepbots_cli.scenario.fields import Bool, Fraction, Number, PlainText, PositiveInt, Scalar, Schedule, WholeNumber
 
 Weight = Annotated[float, Number(0)]
@@ -70,7 +70,7 @@ class Training(Section):
     """Steps of the agent to train for, summed over all environments."""
     environments: Annotated[int, WholeNumber(1, 1024)] = 1
     """Copies of the environment that are trained in at once."""
-    policy: PolicyNetwork = Field(default_factory=PolicyNetwork)
+    network: Annotated[PolicyNetwork, InsteadOf("policy")] = Field(default_factory=PolicyNetwork)
     """The network of the policy."""
     normalize: Literal["reward"] | None = None
     """`reward` divides rewards by a running standard deviation of the return, for learning only; logs show rewards as they are."""
@@ -311,8 +311,8 @@ SET_ELSEWHERE_HELP: Mapping[str, str] = {
     "seed": "give it when you train: `--seed 1`",
     "verbose": "give it when you train: `--quiet`",
     "tensorboard_log": "every run writes its TensorBoard log into its own directory",
-    "policy_kwargs": "write `policy: {hidden: [64, 64], activation: tanh}`",
-    "net_arch": "write `policy: {hidden: [64, 64]}`",
+    "policy_kwargs": "write `network: {hidden: [64, 64], activation: tanh}`",
+    "net_arch": "write `network: {hidden: [64, 64]}`",
     "replay_buffer_class": "write `replay: her`",
     "replay_buffer_kwargs": "write `replay: {type: her, n_sampled_goal: 4}`",
     "lstm_hidden_size": "write `lstm: 64`",

@@ -26,8 +26,10 @@ from deepbots_cli.scenario.base import (
     Kinds,
     MappingOf,
     Shape,
+    fits,
     key_instead_of,
     noun_of,
+    section_fields,
     set_paths,
     shape_at,
     walk_sections,
@@ -362,11 +364,13 @@ def about_key(data: object, path: NodePath) -> str | None:
 
 
 def _help_for_renamed(root: nodes.MappingNode, data: object, path: NodePath) -> str | None:
-    """The help for a word that is written instead of a key: the entry with the key, if it stands on one line."""
+    """The help for a word that is written instead of a key: the entry with the key, if it stands on one line and fits."""
     section, (value, word, _) = shape_at(Scenario, data, path[:-1]), descend(root, path)
     key = key_instead_of(section, str(path[-1])) if isinstance(section, type) else None
     if key is None or word is None:
         return None
+    if not fits(section_fields(section)[key], to_data(value)):
+        return about_key(data, (*path[:-1], key))
     behind = word.span.source.text[word.span.end : value.span.end] if value.span.source is word.span.source else ""
     return f"write `{key}{behind}`" if re.fullmatch(rf":[^\n]{{1,{_MAX_EXAMPLE_CHARACTERS}}}", behind) else f"write `{key}`"
 

@@ -17,7 +17,7 @@ from deepbots_cli.cli.throughput import faster_engine
 from deepbots_cli.document import Permissions
 from deepbots_cli.learning.sb3 import defaults
 
-PLAIN = "train={algorithm: PPO, total_timesteps: 1000, policy: {activation: relu}}"
+PLAIN = "train={algorithm: PPO, total_timesteps: 1000, network: {activation: relu}}"
 TEAM = Path(__file__).parents[1] / "channel" / "team.yaml"
 
 
@@ -281,7 +281,7 @@ def test_drawn_masses_and_frictions_are_shown_as_draws(deepbots):
 def test_a_value_on_several_lines_is_shown_as_a_mapping_on_one(deepbots, tmp_path):
     deepbots("copy", "cartpole")
     scenario = tmp_path / "cartpole.yaml"
-    start = "  place: {cart: {z: 0.04 m}}"
+    start = "  place:  {cart: {z: 0.04 m}}"
     assert start in scenario.read_text()
     scenario.write_text(scenario.read_text().replace(start, "  place:\n    cart:\n      x: 0 m  # the middle\n      z: 0.04 m"))
     rows = json.loads(deepbots("inspect", "cartpole.yaml", "--json").out)["reset"]
@@ -320,8 +320,8 @@ def test_inspect_shows_every_hyperparameter_with_its_source(deepbots):
     assert rows["clip_range"] == (0.2, "Stable-Baselines3")
     rows = {row["hyperparameter"]: (row["value"], row["from"]) for row in inspected(deepbots, "--set", PLAIN)["hyperparameters"]}
     assert rows["n_steps"] == (256, "deepbots")
-    assert rows["policy.hidden"] == ([64, 64], "deepbots")
-    assert rows["policy.activation"] == ("relu", "scenario")
+    assert rows["network.hidden"] == ([64, 64], "deepbots")
+    assert rows["network.activation"] == ("relu", "scenario")
 
 
 def test_without_the_library_its_defaults_are_called_so(deepbots, monkeypatch):

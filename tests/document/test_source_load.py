@@ -325,13 +325,13 @@ def test_an_assignment_that_cannot_be_made_is_reported_in_its_own_text(assignmen
 
 
 def test_a_section_that_the_file_leaves_out_is_begun_by_an_assignment() -> None:
-    document = loads("deepbots: 1\nname: X\n", overrides=["messages.format=none", "train.policy.hidden=[8]"])
+    document = loads("deepbots: 1\nname: X\n", overrides=["messages.format=none", "train.network.hidden=[8]"])
     assert document.root is not None
     assert to_data(document.root) == {
         "deepbots": 1,
         "name": "X",
         "messages": {"format": "none"},
-        "train": {"policy": {"hidden": [8]}},
+        "train": {"network": {"hidden": [8]}},
     }
 
 

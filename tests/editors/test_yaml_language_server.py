@@ -62,8 +62,8 @@ def test_a_sensor_is_offered_the_keys_of_its_kind_alone(typed: Type, kind: str, 
     [
         ("  drive: {choices: {forward: 1, backward: -1}}", "  drive:\n    §", {"range", "each", "choices", "forbid"}, set()),
         ("{choices: {forward: 1, backward: -1}}", "\n    choices: {a: 1, b: 2}\n    §", {"forbid"}, {"range", "each", "choices"}),
-        ("  place: {cart: {z: 0.04 m}}", "  layouts:\n    one:\n      §", {"map", "cell"}, set()),
-        ("  place: {cart: {z: 0.04 m}}", "  layouts:\n    one:\n      cell: 10 cm\n      §", {"map", "legend"}, {"cell"}),
+        ("  place:  {cart: {z: 0.04 m}}", "  layouts:\n    one:\n      §", {"map", "cell"}, set()),
+        ("  place:  {cart: {z: 0.04 m}}", "  layouts:\n    one:\n      cell: 10 cm\n      §", {"map", "legend"}, {"cell"}),
     ],
     ids=["an action", "a choice", "a layout", "a map"],
 )
@@ -121,7 +121,7 @@ def test_the_joints_of_the_robot_are_offered_in_a_list(typed_for: Type) -> None:
         ("emit: [pole_angle]", "emit: [§]", {"pole_angle"}),
         ("  alive: 1\n", "  alive: §\n", {"x", "speed", "cart.pole_angle", "fall_angle"}),
         ("  tip_speed:       -2 .. 2 m/s\n", "  §\n", {"tip_speed", "previous_action"}),
-        ("set:   {cart.pole_hinge: uniform(-1 .. 1 deg)}", "set:\n    §", {"cart.pole_hinge"}),
+        ("joints: {cart.pole_hinge: uniform(-1 .. 1 deg)}", "joints:\n    §", {"cart.pole_hinge"}),
     ],
     ids=["sensors", "signals", "values", "joints by their full names"],
 )

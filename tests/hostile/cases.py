@@ -179,7 +179,7 @@ def _of_numbers() -> Iterator[Hostile]:
         ("copies", "objects: {ball: {shape: sphere, radius: 1 cm, count: 1000000000}}\n"),
         ("attempts", "reset: {attempts: 1000000000000}\n"),
         ("stack", "agent: {frame_stack: 1000000000}\n"),
-        ("layers of a network", "train: {algorithm: PPO, total_timesteps: 10, policy: {hidden: [1000000000]}}\n"),
+        ("layers of a network", "train: {algorithm: PPO, total_timesteps: 10, network: {hidden: [1000000000]}}\n"),
         ("environments", "train: {algorithm: PPO, total_timesteps: 10, environments: 1000000000}\n"),
     ):
         yield Hostile(f"a billion {what}", ("DB005", "DB105"), added(text))

@@ -276,7 +276,7 @@ def test_a_policy_with_a_memory_is_kept_whole_and_goes_on_learning(remembered: T
 
 
 @pytest.mark.parametrize("units", ["0", "-1", "1000000000", "true", "2.5", "'64'"])
-@pytest.mark.parametrize("setting", ["lstm: {}", "environments: {}", "policy: {{hidden: [{}]}}"])
+@pytest.mark.parametrize("setting", ["lstm: {}", "environments: {}", "network: {{hidden: [{}]}}"])
 def test_numbers_of_units_and_worlds_that_no_machine_could_have_are_refused(setting: str, units: str) -> None:
     train = f"algorithm: RecurrentPPO, total_timesteps: 100, {setting.format(units)}"
     findings = api.lint("cartpole", overrides=[f"train={{{train}}}"])
@@ -284,7 +284,7 @@ def test_numbers_of_units_and_worlds_that_no_machine_could_have_are_refused(sett
 
 
 def test_an_unknown_activation_is_refused() -> None:
-    (finding,) = api.lint("cartpole", overrides=["train.policy.activation=relou"])
+    (finding,) = api.lint("cartpole", overrides=["train.network.activation=relou"])
     assert (finding.code, finding.fix is not None) == ("DB104", True)
 
 

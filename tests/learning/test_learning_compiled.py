@@ -20,7 +20,7 @@ goal: {achieved: x, desired: place, tolerance: 2 cm, range: -0.4 .. 0.4 m}
 reward:
   near: where(goal_reached, 0, -1)
 truncation: {max_steps: 40}
-train: {algorithm: SAC, total_timesteps: 200, environments: 2, replay: her, policy: {hidden: [8]}, learning_starts: 80}
+train: {algorithm: SAC, total_timesteps: 200, environments: 2, replay: her, network: {hidden: [8]}, learning_starts: 80}
 """,
     "picture": """
 robots:

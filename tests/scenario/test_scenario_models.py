@@ -68,7 +68,7 @@ def test_the_hyperparameters_of_a_training_are_those_that_were_given() -> None:
         "gae_lambda": 0.95,
         "batch_size": 128,
     }
-    assert training.policy.hidden == (60, 60)
+    assert training.network.hidden == (60, 60)
 
 
 def test_every_key_has_a_sentence_for_the_editor() -> None:
