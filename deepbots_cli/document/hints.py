@@ -110,7 +110,7 @@ def _leading_sign(problem: _Problem) -> Finding | None:
         return problem.finding("a tab where YAML allows only spaces", "use spaces", at)
     rest = problem.rest(at)
     if rest.startswith("? "):
-        return problem.finding("a value cannot start with `? `", "write where(condition, a, b), or put the value in quotes", at)
+        return problem.finding("a value cannot start with `? `", "write `a if condition else b`, or put the value in quotes", at)
     if not rest:
         return problem.finding("a value is missing", "write a value", at)
     sign = "a backtick" if rest[0] == "`" else f"`{rest[0]}`"
@@ -148,7 +148,7 @@ def _brackets(problem: _Problem) -> Finding | None:
 
 
 def _second_colon(problem: _Problem, help: str) -> Finding:
-    help = "write where(condition, a, b)" if " ? " in problem.before else help
+    help = "write `a if condition else b`" if " ? " in problem.before else help
     return problem.finding("a second colon in one value", help, problem.at)
 
 
@@ -217,6 +217,7 @@ def _quoted(text: str) -> str:
 
 _QUOTABLE = re.compile(r"""[^"\\#\n]*""")
 _DRAW = re.compile(r"(uniform|normal|choice|integer)\(\s*([^(),]{1,40}?)\s*,\s*([^(),]{1,40}?)\s*\)")
+_WHERE = re.compile(r"where\(\s*([^,]{1,80}?)\s*,\s*([^(),]{1,40}?)\s*,\s*([^(),]{1,40}?)\s*\)")
 _DRAW_SIGNS = {"uniform": "..", "integer": "..", "normal": "+-", "choice": "|"}
 _HAS_COLON = re.compile(r"\s*:")
 _HIDDEN = re.compile(r":?[ \t]+(#[^\s#]\S*)")
@@ -252,6 +253,8 @@ def report_values_cut_by_commas(scalars: Iterable[ScalarNode], findings: Finding
         if draw := _DRAW.fullmatch(text):
             better = f"{draw[1]}({draw[2]} {_DRAW_SIGNS[draw[1]]} {draw[3]})"
             help, fix = f"a draw needs no comma: `{better}`", Fix((Edit(span, better),), safe=True)
+        elif chosen := _WHERE.fullmatch(text):
+            help, fix = f"write `{chosen[2]} if {chosen[1]} else {chosen[3]}`", None
         findings.add("DB001", span, "a comma inside brackets cuts this value in two", help, fix=fix)
     return cut
 

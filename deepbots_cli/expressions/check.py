@@ -98,7 +98,6 @@ _CONTEXT_CALL_HELP = {
     "square": "a power is `a ^ b`: `x ^ 2`",
     "radians": "write the unit: `30 deg`",
     "degrees": "divide by the unit: `angle / deg`",
-    "if": "write `where(condition, a, b)`, or `a when condition`",
 }
 
 
@@ -190,6 +189,9 @@ class _Checker:
                 return self._when(node, left, right) if node.operator == "when" else self._binary(node, left, right)
             case syntax.Call():
                 return self._call(node)
+            case syntax.Conditional():  # in Python's order, in which states and draws are numbered
+                condition, *values = self.each(self.visit, (node.condition, node.value, node.otherwise))
+                return self._conditional(node, condition, values)
             case syntax.Member():
                 return self._pick(self.visit(node.value), node.member, node)
             case syntax.Unary():
@@ -359,14 +361,26 @@ class _Checker:
     # operators
 
     def _when(self, node: syntax.Binary, value: Typed, condition: Typed) -> Typed:
-        """`a when c` is `where(c, a, 0)`."""
+        """`a when c` is `a if c else 0`."""
         require_kind([value], self._report)
         require_kind([condition], self._report, boolean=True)
         components = components_of((value, condition), node, self._report)
         nothing = Constant(Type(interval=single(0.0)), node.end, node.end, (0.0,))
         known = max(value.type.known, condition.type.known)
         result = _ranged(Type(value.type.dimension, components, known=known), lambda known: hull((known, single(0.0))), (value.type,))
-        return Invocation(result, node.start, node.end, "where", (), (condition, value, nothing))
+        return Operation(result, node.start, node.end, "where", (condition, value, nothing))
+
+    def _conditional(self, node: syntax.Conditional, condition: Typed, values: Sequence[Typed]) -> Typed:
+        require_kind([condition], self._report, boolean=True)
+        boolean = any(value.type.boolean for value in values)
+        require_kind(values, self._report, boolean=boolean)
+        dimension = dimension_of(values, node, self._report)
+        components = components_of((condition, *values), node, self._report)
+        known = max(value.type.known for value in (condition, *values))
+        result = Type(dimension, components, boolean, TRUTH, known)
+        if not boolean:
+            result = _ranged(result, OPERATORS["where"].interval, [part.type for part in (condition, *values)])
+        return Operation(result, node.start, node.end, "where", (condition, *values))
 
     def _unary(self, node: syntax.Unary, operand: Typed) -> Typed:
         require_kind([operand], self._report, boolean=node.operator == "not")

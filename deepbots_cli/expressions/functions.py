@@ -361,10 +361,6 @@ _ENTRIES = (
              array="np.minimum(np.maximum(x, low), high)"),
     Function("wrap", _PURE, (_TURN,), "The same angle, above -180 and up to 180 deg.", "wrap(yaw(rover) - 90 deg)",
              _ANGLE, iv.wrap_angle, python="pi - (pi - angle) % tau", helper="wrap_angle"),
-    Function("where", _PURE, (_CONDITION, Param("a"), Param("b")), "a where the condition holds, otherwise b.",
-             "where(contact(rover, ball), 1, 0)",
-             interval=iv.where, accepts_truths=True, python="a if condition else b",
-             array="np.where(condition, a, b)"),
     Function("min", _PURE, (Param("x", variadic=True),), "The smallest component of one vector, or of several values.", "min(rover.near)",
              interval=iv.minimum, python="min(*x)", array="reduce(np.minimum, x)", reduction=Reduction("min", INF)),
     Function("max", _PURE, (Param("x", variadic=True),), "The largest component of one vector, or of several values.",
@@ -497,6 +493,7 @@ OPERATORS: Mapping[str, Function] = {
         _operator("not", (_A,), "not a", lambda a: iv.subtract(iv.ALWAYS, a), "np.logical_not(a)"),
         _operator("and", _VARIADIC_PARAMS, "a and b", iv.minimum, "np.logical_and(a, b)"),
         _operator("or", _VARIADIC_PARAMS, "a or b", iv.maximum, "np.logical_or(a, b)"),
+        _operator("where", (_CONDITION, _A, _B), "a if condition else b", iv.where, "np.where(condition, a, b)"),
     )
 }
 """The operators of scalar trees; they are no functions of the language."""

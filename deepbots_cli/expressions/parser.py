@@ -2,7 +2,8 @@
 
     text        value [when condition] [every period | each step]
     value       slot [.. slot]
-    slot        a literal (numbers and one unit, nothing else) or an operation
+    slot        part [if part else slot]; the condition is an operation
+    part        a literal (numbers and one unit, nothing else) or an operation
     operation   or < and < not < comparison < + - < * / < unary minus < ^ < call, member, literal
 
 Parsing stops at the first error, because errors after it would be guesses.
@@ -10,6 +11,7 @@ Parsing stops at the first error, because errors after it would be guesses.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
@@ -20,6 +22,7 @@ from deepbots_cli.expressions.syntax import (
     MAX_LENGTH,
     Binary,
     Call,
+    Conditional,
     Member,
     Name,
     Node,
@@ -32,6 +35,7 @@ from deepbots_cli.expressions.syntax import (
     Truth,
     Unary,
     Vector,
+    children,
     depth,
     tokens,
 )
@@ -49,24 +53,28 @@ _PRECEDENCE = {"or": 1, "and": 2, "<": 4, "<=": 4, ">": 4, ">=": 4, "==": 4, "!=
 _NOT, _COMPARISON, _MINUS = 3, 4, 7
 _NEVER_CLOSED = "a parenthesis that is not closed"
 _TOO_DEEP_HELP = "define parts of the expression as signals or parameters"
-_SLOT_ENDS = {"", ",", ")", "..", "+-", "|", "when", "every", "each"}  # the first is the end of the text
-_OPERATOR_WORDS = {"when", "and", "or", "not", "every"}
+_CONDITIONAL_WORDS = frozenset({"if", "else"})
+_SLOT_ENDS = {"", ",", ")", "..", "+-", "|", "when", "every", "each", "if", "else"}  # the first is the end of the text
+_OPERATOR_WORDS = {"when", "and", "or", "not", "every", "if", "else"}
 
 
 def parse(text: str, report: FindingReporter) -> Node | None:
-    """The tree of an expression, literal or range; None after exactly one finding (DB401 or DB005)."""
+    """The tree of an expression, literal or range; None after exactly one finding (DB401, DB005, or DB402 for `where`)."""
     if len(text) > MAX_LENGTH:
         report("DB005", 0, len(text), f"an expression of {len(text)} characters", f"the limit is {MAX_LENGTH} characters")
         return None
     try:
         if len(text) <= _MAX_SHOWN_CHARACTERS:
-            return _parse_cached(text)  # each level takes a character at least, so that it cannot be too deep
-        tree = _Parser(text).text()
+            tree = _parse_cached(text)  # each level takes a character at least, so that it cannot be too deep
+        elif depth(tree := _Parser(text).text()) > MAX_DEPTH:
+            report("DB005", tree.start, tree.end, f"more than {MAX_DEPTH} nested operations", _TOO_DEEP_HELP)
+            return None
     except _SyntaxError as fault:
         report(*fault.finding)
         return None
-    if depth(tree) > MAX_DEPTH:
-        report("DB005", tree.start, tree.end, f"more than {MAX_DEPTH} nested operations", _TOO_DEEP_HELP)
+    if "where" in text and (call := _call_of_where(tree)):
+        help = f"write `{_without_where(tree, text)}`" if len(call.args) == 3 else _CONDITIONAL.help
+        report("DB402", call.start, call.name_end, "unknown function `where`", help)
         return None
     return tree
 
@@ -91,6 +99,7 @@ class _Parser:
     """A place in a list of tokens. Looking ahead by one token is always possible: the last one is END."""
 
     def __init__(self, text: str) -> None:
+        self._text = text
         self._tokens = tokens(text)
         self._at = 0
         self._nesting = 0
@@ -192,6 +201,9 @@ class _Parser:
         node = self._range(self._slot())
         if self._take("when"):
             condition = self._slot()
+            for part in (node, condition):
+                if _is_open_conditional(part):
+                    raise _SyntaxError(part.start, part.end, "`if` and `when` without parentheses", self._grouped(node, condition))
             node = Binary(node.start, condition.end, "when", node, condition)
         if self._take("every"):
             period = self._slot()
@@ -207,7 +219,35 @@ class _Parser:
 
     def _slot(self) -> Node:
         """A place that a literal may fill alone; there `0.6 -0.4 m` are two numbers, no subtraction."""
-        return self._literal() or self._operation(0)
+        value = self._literal() or self._operation(0)
+        return self._conditional(value) if self._peek.text == "if" else value
+
+    def _conditional(self, value: Node) -> Node:
+        """`value if condition else otherwise`, of which `value` was read."""
+        word = self._next()
+        condition = self._operation(0)
+        if self._peek.text == "if":
+            help = "put the inner one in parentheses: `a if (b if c else d) else e`"
+            raise _SyntaxError(self._peek.start, self._peek.end, "`if` inside a condition", help)
+        if self._peek.text != "else" and self._peek.text in _SLOT_ENDS:
+            written = f"{self._written(value)} if {self._written(condition)}"
+            help = f"write what the value is otherwise, as in `{written} else 0`"
+            raise _SyntaxError(word.start, condition.end, "`if` without `else`", help)
+        if not self._take("else"):
+            raise self._misplaced()
+        self._deeper(word)
+        otherwise = self._slot()
+        self._nesting -= 1
+        return Conditional(value.start, otherwise.end, value, condition, otherwise)
+
+    def _written(self, node: Node) -> str:
+        """The text of a node on one line."""
+        return " ".join(self._text[node.start : node.end].split())
+
+    def _grouped(self, value: Node, condition: Node) -> str:
+        """The help for `value when condition`: its text with parentheses around each open `if`."""
+        parts = (f"({self._written(part)})" if _is_open_conditional(part) else self._written(part) for part in (value, condition))
+        return f"write `{' when '.join(parts)}`"
 
     def _range(self, low: Node) -> Node:
         if not self._take(".."):
@@ -370,9 +410,14 @@ class _Parser:
     def _misplaced(self, *, missing: bool = False) -> _SyntaxError:
         """The fault at a token that cannot stand here; `missing` where a value was due."""
         before = self._tokens[self._at - 1] if self._at else None
-        if before is not None and before.kind == "NAME" and before.text in _HINTS:
+        if before is not None and before.kind == "NAME" and before.text in _HINTS.keys() - _CONDITIONAL_WORDS:
             return _SyntaxError(before.start, before.end, f"`{before.text}` in an expression", _HINTS[before.text].help)
         return _SyntaxError(self._peek.start, self._peek.end, *_diagnosis(self._tokens, self._at, missing))
+
+
+def _is_open_conditional(node: Node) -> bool:
+    """Whether it is an `if` without parentheses around it, which a node counts as its own."""
+    return isinstance(node, Conditional) and node.start == node.value.start
 
 
 def _borrow_unit(left: Node, right: Node) -> Node:
@@ -380,6 +425,35 @@ def _borrow_unit(left: Node, right: Node) -> Node:
     if isinstance(left, Number | Vector) and isinstance(right, Number | Vector) and left.unit is None:
         return left._replace(unit=right.unit)
     return left
+
+
+# `where(condition, a, b)` of numpy
+
+
+def _call_of_where(tree: Node) -> Call | None:
+    """The first call of `where` that is in no other."""
+    if isinstance(tree, Call) and tree.function == "where":
+        return tree
+    return next((found for child in children(tree) if (found := _call_of_where(child))), None)
+
+
+def _without_where(tree: Node, text: str) -> str:
+    """The expression on one line, with each `where(condition, a, b)` as `a if condition else b`."""
+    return " ".join(re.sub(r"(?<!\S)#[^\n]*", "", _rewritten(tree, text)).split())
+
+
+def _rewritten(node: Node, text: str, *, in_operation: bool = False) -> str:
+    if isinstance(node, Call) and node.function == "where" and len(node.args) == 3:
+        condition, value, otherwise = node.args
+        parts = [_rewritten(part, text, in_operation=True) for part in (value, condition)]
+        written = f"{parts[0]} if {parts[1]} else {_rewritten(otherwise, text)}"
+        return f"({written})" if in_operation or text[node.start] == "(" else written
+    pieces, at = [], node.start
+    for child in children(node):
+        is_operand = isinstance(node, Unary | Binary | Member)
+        pieces += [text[at : child.start], _rewritten(child, text, in_operation=is_operand)]
+        at = child.end
+    return "".join([*pieces, text[at : node.end]])
 
 
 # Hints: signs and words of other languages, and the commonest slips.
@@ -396,7 +470,7 @@ _FOREIGN_SIGNS = {
     "&&": "and", "||": "or", "=>": ">=", "<>": "!=", "≤": "<=", "≥": ">=", "≠": "!=", "×": "*", "·": "*", "÷": "/",
     "±": "+-", "²": "^2", "³": "^3", "…": "..", "°": " deg",
 }  # fmt: skip
-_CONDITIONAL = _Hint("write `where(condition, a, b)`, or `a when condition`")
+_CONDITIONAL = _Hint("write `a if condition else b`")
 _NO_TEXT = _Hint("expressions contain numbers and names, but no text")
 COPIES_HELP = (
     "a single copy has no name: the name of a robot means the copy itself, "
@@ -412,6 +486,7 @@ _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _FOREIG
     ":": _CONDITIONAL,
     "if": _CONDITIONAL,
     "else": _CONDITIONAL,
+    "elif": _Hint("write `a if condition else b if other else c`"),
     "is": _Hint("compare with `==`"),
     "in": _Hint("compare with `<` and `>`, joined by `and`"),
     "lambda": _Hint("user-defined functions are not supported; define the value under `signals`"),
@@ -431,6 +506,9 @@ _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _FOREIG
 }
 
 
+_WITHOUT_OPENING = {")": "a closing parenthesis without an opening one", "else": "`else` without `if`"}
+
+
 def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | None, Replacement | None]:
     """Headline, help and correction, where the token `at` cannot stand; `missing` where a value was due."""
     token, before = tokens[at], tokens[at - 1] if at else tokens[at]
@@ -440,15 +518,15 @@ def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | 
         return "the expression is incomplete", _missing_end(tokens) if at else None, None
     if token.text == "=":
         return "`=` in an expression", *_about_equals(tokens, at)
-    if token.kind == "STRANGE" or (token.kind == "NAME" and help):
+    if token.kind == "STRANGE" or (token.kind == "NAME" and help and token.text not in _CONDITIONAL_WORDS):
         if text is not None and text.isalpha():  # a word needs blanks around it
             text = " " * (before.end == token.start) + text + " " * (tokens[at + 1].start == token.end)
         # Of three dots, the last may be the point of a decimal.
         return f"`{shown}` in an expression", help, None if text is None else Replacement(text, safe=token.text != "...")
     if missing:
         return f"a value is missing before `{shown}`", help, None
-    if token.text == ")":
-        return "a closing parenthesis without an opening one", None, None
+    if token.text in _WITHOUT_OPENING:
+        return _WITHOUT_OPENING[token.text], help, None
     if token.text == ",":
         return _about_comma(tokens, at)
     if token.kind == "SIGN" and token.text != "(":

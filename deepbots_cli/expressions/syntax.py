@@ -117,6 +117,16 @@ class Binary(NamedTuple):
     right: Node
 
 
+class Conditional(NamedTuple):
+    """`value if condition else otherwise`."""
+
+    start: int
+    end: int
+    value: Node
+    condition: Node
+    otherwise: Node
+
+
 class Call(NamedTuple):
     """The function's name lies in [start, name_end)."""
 
@@ -162,7 +172,7 @@ class Redrawn(NamedTuple):
     period: Node | None
 
 
-Node = Number | Truth | Vector | Name | Member | Unary | Binary | Call | Range | Spread | Options | Redrawn
+Node = Number | Truth | Vector | Name | Member | Unary | Binary | Conditional | Call | Range | Spread | Options | Redrawn
 
 
 def children(node: Node) -> tuple[Node, ...]:

@@ -325,6 +325,8 @@ def is_bare_number(value: Typed) -> bool:
     match value:
         case Constant(unit=unit):
             return unit is None and not value.type.boolean
+        case Operation(operator="where", args=(_, *parts)):
+            return all(is_bare_number(part) for part in parts)
         case Operation(args=parts) | Vector(items=parts):
             return not value.type.boolean and all(is_bare_number(part) for part in parts)
         case Invocation(function="uniform" | "normal" | "choice", args=parts):

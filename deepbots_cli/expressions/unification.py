@@ -17,7 +17,6 @@ from deepbots_cli.expressions.types import (
     Components,
     Constant,
     FindingReporter,
-    Invocation,
     Known,
     Operation,
     Reference,
@@ -91,7 +90,7 @@ def require_kind(values: Sequence[Typed], report: FindingReporter, *, boolean: b
             report_at(report, "DB403", value, "a number where a truth value belongs", "compare it, as in `x > 0`")
         else:
             name = value.symbol.name if isinstance(value, Reference) else "condition"
-            help = f"make it a number with `where({name}, 1, 0)`, or write the value under the condition: `5 when {name}`"
+            help = f"make it a number with `1 if {name} else 0`, or write the value under the condition: `5 when {name}`"
             report_at(report, "DB403", value, "a truth value where a number belongs", help)
     raise StopChecking
 
@@ -308,12 +307,14 @@ def _require_size(value: Typed, known: Known, what: str, report: FindingReporter
 
 def negated_text(value: Typed) -> Callable[[str], str]:
     """Makes the text of the value with its sign turned from the text of the value; of `a when c`, `a` is turned."""
-    is_when = isinstance(value, Invocation) and value.function == "where" and value.args[1].start == value.start
-    part = value.args[1] if is_when and isinstance(value, Invocation) else value
+    is_when = isinstance(value, Operation) and value.operator == "where" and value.args[2].start == value.end
+    part = value.args[1] if is_when and isinstance(value, Operation) else value
     length = part.end - part.start
 
     def turned(text: str) -> str:
         amount, rest = text[:length], text[length:]
+        if isinstance(part, Operation) and part.operator == "where" and part.args[1].start == part.start:
+            return f"-({amount}){rest}"
         if not (isinstance(part, Operation) and _is_sum(part)):
             return amount[1:].lstrip() + rest if amount.startswith("-") else f"-{amount}{rest}"
         if part.operator == "add":

@@ -99,7 +99,7 @@ class _PoleSearch:
             case Invocation(function="exp", args=(inner,)):
                 grows = any(known.low > -INF and known.high == INF for known in self._known(value, inner))
                 return Singularity(value, inner, False) if grows else None
-            case Invocation(function="where"):
+            case Operation(operator="where"):
                 return None
             case Reference(symbol=symbol) if (
                 meant := self._analysis.expression_named(symbol.name)
@@ -245,7 +245,7 @@ def _is_turned_off(node: Typed, analysis: Analysis) -> bool:
         case Reference(symbol=symbol):
             meant = analysis.expression_named(symbol.name)
             return (symbol.value is not None and not any(symbol.value)) or (meant is not None and is_off(meant.typed))
-        case Invocation(function="where", args=(_, paid, *_)):
+        case Operation(operator="where", args=(_, paid, _)):
             return is_off(paid)
         case Operation(operator="div", args=(above, _)):
             return is_off(above)

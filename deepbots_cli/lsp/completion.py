@@ -276,6 +276,8 @@ _WORD = re.compile(r"[A-Za-z_][\w.]*$")
 _AFTER_NUMBER = re.compile(r"(?<![A-Za-z_\d])(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?:\s+|\s*(?:[A-Za-z%]+(?:\^-?\d)?[*/])+)?$")
 _GRAMMAR = {
     "when": "`a when c`: a where the condition holds, else 0",
+    "if": "`a if c else b`: a where the condition holds, else b",
+    "else": "`a if c else b`: a where the condition holds, else b",
     "and": "both conditions hold",
     "or": "one of the conditions holds",
     "not": "the condition does not hold",

@@ -681,7 +681,7 @@ BUILT_IN_NAMES = frozenset(
     | {"ground", "arena", "pi", "true", "false"}
 )
 """Values that every scenario has."""
-GRAMMAR_WORDS = frozenset(["and", "or", "not", "when", "every", "each", "auto", "any", "urdf"])
+GRAMMAR_WORDS = frozenset(["and", "or", "not", "when", "if", "else", "every", "each", "auto", "any", "urdf"])
 """Keywords of expressions, and special values of fields."""
 NAME_PATTERN = r"[a-z_][a-z0-9_]*"
 MAX_NAME_LENGTH = 64

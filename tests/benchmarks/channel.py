@@ -83,7 +83,7 @@ def through_a_scenario(*overrides: str) -> np.ndarray:  # type: ignore[type-arg]
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "pyproject.toml").touch()
         file = Path(folder, "cart.yaml")
-        reward = "reward={fresh: 'where(message_received(cart), 1, 0)', age: age(cart) / (1 s)}"
+        reward = "reward={fresh: '1 if message_received(cart) else 0', age: age(cart) / (1 s)}"
         file.write_text(CART, encoding="utf-8")
         with closing(
             api.make(file, overrides=[*overrides, reward, f"truncation.max_steps={MESSAGES + 1}"], engine="pybullet")

@@ -16,7 +16,7 @@ BASES = {"cartpole": "x / track", "pit_escape": "reach / radius", "find_ball": "
 FORMS = (
     "{a} * exp(-abs({x}))",
     "clamp({a} * {x}, -1 .. 1)",
-    "where({x} > {a} and time > {b} s, {b}, 1 - {b})",
+    "{b} if {x} > {a} and time > {b} s else 1 - {b}",
     "low_pass({x}, {b} s) + {a} * max({x}, 0.1)",
     "{a} * ({x} - {b}) ^ 2",
 )

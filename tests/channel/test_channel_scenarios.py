@@ -129,7 +129,7 @@ def test_ages_of_a_drawn_latency_lie_between_its_ends(make: Make) -> None:
     ("signal", "codes"),
     [
         ("age(cart) / s", []),
-        ("where(message_received(cart), cart.place / m, previous(drive) + time / s)", []),
+        ("cart.place / m if message_received(cart) else previous(drive) + time / s", []),
         ("limit * step * inner", []),
         ("wind * cart.place / m", ["DB609"]),
         ("position(cart.cart).x / m", ["DB609"]),
@@ -202,7 +202,7 @@ SCRIPTED = """\
       seen: cart.place
     emit: []
     apply:
-      motor: where(place > 3 mm, -1, 1) * 0.1 m/s + seen / s
+      motor: (-1 if place > 3 mm else 1) * 0.1 m/s + seen / s
 """
 
 

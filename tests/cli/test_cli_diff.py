@@ -198,7 +198,7 @@ def test_the_group_of_a_difference_is_the_same_from_both_sides(deepbots):
 def test_what_stands_on_several_lines_is_told_without_its_comments(deepbots):
     _, found = differences(deepbots, "cartpole", "pit_escape")
     metric = found["task", "signals.metric"]["other"]
-    assert metric.startswith("hold(where(reach < radius, 0.5 * reach / radius, 0.5 + 0.5 *")
+    assert metric.startswith("hold(0.5 * reach / radius if reach < radius else 0.5 + 0.5 *")
     assert "#" not in metric
 
 

@@ -44,7 +44,7 @@ reset: {joints: {cart.slider: start}}
 scripts:
   onward: {drive: 1}
   homeward: {drive: -1}
-  uncertain: {drive: "where(start > 0 m, 1, -1)"}
+  uncertain: {drive: "1 if start > 0 m else -1"}
 evaluation: {cases: {near: {set: {edge: 1 mm}}}}
 curriculum: [{name: far, set: {edge: 10 mm}, until: 100 steps}, {name: usual}]
 """

@@ -92,7 +92,7 @@ def test_many_cases_of_a_large_scenario_are_refused(workshop, rail) -> None:
         ("cart.place > 5 cm", "{0} and {0}", "{0}"),
         ("cart.place > 5 cm", "duration({0}) > 1 s or not {0}", "{0}"),
         ("cart.place / m", "{0} * {0}", "{0} > 1"),
-        ("cart.place / m", "where({0} > 0.5, {0}, 1 - {0})", "{0} > 1"),
+        ("cart.place / m", "{0} if {0} > 0.5 else 1 - {0}", "{0} > 1"),
     ],
 )
 def test_signals_that_use_the_one_before_twice_are_followed_once_by_every_rule(

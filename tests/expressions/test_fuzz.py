@@ -12,7 +12,7 @@ from deepbots_cli.expressions.types import Context
 from deepbots_cli.expressions.unification import expect_value
 
 NAMES = "x speed gas flag home stride cart cart.tip cart.legs cart.pole_angle ball broken radio nonsense"
-OTHERS = "0 1 2.5 1e308 1e-308 100_000 and or not when every each step true if"
+OTHERS = "0 1 2.5 1e308 1e-308 100_000 and or not when every each step true if else where"
 SIGNS = "+ - * / ^ ( ) ( ) , .. +- | . < <= == != > ** && = [ ] ? : %"
 WORDS = [*FUNCTIONS, *UNITS, *NAMES.split(), *OTHERS.split(), *SIGNS.split()]
 soup = st.lists(st.sampled_from(WORDS), max_size=25).map(" ".join) | st.lists(st.sampled_from(WORDS), max_size=25).map("".join)
@@ -50,7 +50,7 @@ def test_any_soup_of_known_words_is_answered(bench_of, text):
 
 @settings(max_examples=60, deadline=2000)
 @given(
-    st.sampled_from(["abs(", "(", "-", "clamp(1 - ", "where(flag, x, ", "delta(", "2^", "wrap(", "not ", "norm(home * ", "1 - (1 - "]),
+    st.sampled_from(["abs(", "(", "-", "clamp(1 - ", "x if flag else ", "delta(", "2^", "wrap(", "not ", "norm(home * ", "1 - (1 - "]),
     st.integers(1, 70),
 )
 def test_any_depth_is_answered_and_what_passes_is_python(bench_of, opening, count):

@@ -44,7 +44,7 @@ def one(form, function, a):
 
 def choose(condition, a, b):
     return st.builds(
-        lambda c, p, q: Drawn(f"where({c.text}, {p.text}, {q.text})", lambda read: p.value(read) if c.value(read) else q.value(read)),
+        lambda c, p, q: Drawn(f"({p.text} if {c.text} else {q.text})", lambda read: p.value(read) if c.value(read) else q.value(read)),
         condition,
         a,
         b,
@@ -125,7 +125,7 @@ def test_printed_python_agrees_with_direct_evaluation(bench_of, data):
         ("norm(stride)", 0.0, math.sqrt(2)),
         ("sum(stride^2)", 0.0, 2.0),
         ("delta(gas)", -2.0, 2.0),
-        ("where(flag, gas, 5)", -1.0, 5.0),
+        ("gas if flag else 5", -1.0, 5.0),
         ("min(gas, 0.5)", -1.0, 0.5),
         ("5 when flag", 0.0, 5.0),
         ("2 / (y + 3 m) * m", 1 / 3, 2.0),

@@ -29,7 +29,7 @@ duration(not contact(dog.feet, ground))
 rising_edge(contact(dog.feet, ground))
 exp(-((v.x - vx)^2 + v.y^2) / (0.5 m/s)^2)
 0.5 * exp(-((w.z - wz) / (0.5 rad/s))^2)
-sum(where(landed, previous(air) - 0.3 s, 0 s)) / s
+sum(previous(air) - 0.3 s if landed else 0 s) / s
 -0.0002 * sum((joint_torque(dog.legs) / (N*m))^2)
 -0.01 * sum(delta(stride)^2)
 contact(dog.trunk, ground) or tilt(dog) > 60 deg
@@ -50,12 +50,12 @@ position(block).xy
 -1 when not goal_reached
 norm(position(block).xy - mark) > 8 cm
 0.2 0.3 0.7 4.06 1.47 2.41 2.87 4.23 3.07 4.9 %
-where(max(proximity) > 150, -0.5, 0.6 - whim - 0.2 * sin(threat)) * speed
+(-0.5 if max(proximity) > 150 else 0.6 - whim - 0.2 * sin(threat)) * speed
 10 when caught
 -0.1 when collided(hunter) and not caught
 0.01 when visible(epuck.camera, ball)
 running_max(norm(position(roller).xy))
-hold(where(reach < radius, 0.5 * reach / radius, 0.5 + 0.5 * (time_limit - time) / time_limit), reach > previous(reach))
+hold(0.5 * reach / radius if reach < radius else 0.5 + 0.5 * (time_limit - time) / time_limit, reach > previous(reach))
 -0.05 when min(clearance(epuck, obstacle)) < 8 mm
 integer(1 .. 3)
 choice(0 deg | 90 deg)
@@ -72,8 +72,19 @@ REFUSED = [
     ("flag || flag", "||", "`or`"),
     ("!flag", "!", "`not`"),
     ("x = 3 m", "=", "`==`"),
-    ("flag ? 1 : 2", "?", "where("),
-    ("1 if flag else 2", "if", "where("),
+    ("flag ? 1 : 2", "?", "`a if condition else b`"),
+    ("if flag: 1", "if", "`a if condition else b`"),
+    ("if(flag, 1, 2)", "if", "`a if condition else b`"),
+    ("1 if flag", "if flag", "`1 if flag else 0`"),
+    ("abs(x if flag, 2)", "if flag", "`x if flag else 0`"),
+    ("1 if flag else", "", "after `else`"),
+    ("1 if", "", "after `if`"),
+    ("1 else 2", "else", "`a if condition else b`"),
+    ("1 if flag else 2 else 3", "else", "`a if condition else b`"),
+    ("1 if flag elif x > 1 m 3 else 4", "elif", "if other else"),
+    ("1 if flag if flag else flag else 2", "if", "`a if (b if c else d) else e`"),
+    ("1 if flag else 2 when flag", "1 if flag else 2", "`(1 if flag else 2) when flag`"),
+    ("5 when flag if x > 1 m else true", "flag if x > 1 m else true", "`5 when (flag if x > 1 m else true)`"),
     ("cart.rays[0]", "[", "`v.x`"),
     ('"text"', '"', "no text"),
     ("x % 2", "%", "wrap("),
@@ -161,6 +172,7 @@ def test_a_text_may_be_nested_only_so_deep(bench):
         "1 " * 4000,
         "x" * 1_000_000,
         "5 " + "m*" * 4000 + "m",
+        "1 if flag else " * 600 + "1",
         "where(flag, " * 800 + "1",
         "9" * 9000,
         "((x" + "+x" * 127 + ")" + "+x" * 127 + ")",
@@ -173,3 +185,34 @@ def test_hostile_length_and_depth_give_one_finding_at_once(bench, text):
 
 def test_a_draw_may_be_repeated_and_nothing_else(bench):
     assert bench.codes("uniform(0 .. 1) each step", Context.PARAMETER) == ["DB407"]
+
+
+@pytest.mark.parametrize(
+    ("text", "new"),
+    [
+        ("where(flag, x, y)", "x if flag else y"),
+        ("2 * where(flag, x, y)", "2 * (x if flag else y)"),
+        ("abs(where(flag, x, y) + 1 m)", "abs((x if flag else y) + 1 m)"),
+        ("clamp(x, 0 m .. where(flag, x, y))", "clamp(x, 0 m .. x if flag else y)"),
+        ("where(x > 0, where(flag, x, 2 * y), where(flag, 0, y))", "(x if flag else 2 * y) if x > 0 else 0 if flag else y"),
+        ("where(where(flag, flag, not flag), (x + y), y)", "(x + y) if (flag if flag else not flag) else y"),
+        ("where(flag, 1, 0) when flag", "(1 if flag else 0) when flag"),
+        ("where(flag, 1 1 m,  # outside\n 0 0 m)", "1 1 m if flag else 0 0 m"),
+    ],
+)
+def test_where_is_refused_and_the_whole_expression_is_written_with_if(bench, text, new):
+    said = bench.only(text)
+    assert (said.code, said.piece, said.help) == ("DB402", "where", f"write `{new}`")
+    assert bench.codes(new) == []
+
+
+def test_where_with_another_number_of_arguments_is_refused_too(bench):
+    assert bench.only("where(flag, 1)").help == "write `a if condition else b`"
+
+
+def test_if_binds_least_groups_to_the_right_and_takes_literals(bench):
+    assert bench.values("1 + 1 if flag else 3 * 2", flag=False) == [6.0]
+    assert bench.values("1 if x > 2 m else 2 if x > 1 m else 3", x=1.5) == [2.0]
+    assert bench.values("0.6 -0.4 m if flag else 1 1 m", flag=True) == [0.6, -0.4]
+    assert isinstance(bench.read("(1 if flag else 2) + 1"), syntax.Binary)
+    assert isinstance(bench.read("5 when (flag if flag else true)"), syntax.Binary)

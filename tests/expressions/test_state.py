@@ -51,8 +51,8 @@ def xs(*values):
         ("duration(x > 2 m)", [0, 0.5, 1, 0]),
         ("rising_edge(x > 2 m)", [False, True, False, False]),
         ("rising_edge(not flag)", [False, False, False, True]),
-        ("low_pass(x, where(flag, 0.5 s, 1 s))", [2, 2.5, 3.75, 13 / 6]),
-        ("duration(where(flag, x > 2 m, false))", [0, 0.5, 1, 0]),
+        ("low_pass(x, 0.5 s if flag else 1 s)", [2, 2.5, 3.75, 13 / 6]),
+        ("duration(x > 2 m if flag else false)", [0, 0.5, 1, 0]),
         ("previous(flag)", [True, True, True, True]),
     ],
 )

@@ -39,7 +39,7 @@ from deepbots_cli.expressions.unification import ANY_SHAPE, expect_range, expect
         ("max(cart.rays)", LENGTH, None),
         ("max(x, y, 0)", LENGTH, None),
         ("cart.rays.ps1", LENGTH, None),
-        ("where(bumps, stride, 0)", NUMBER, ("hip", "knee")),
+        ("stride if bumps else 0", NUMBER, ("hip", "knee")),
         ("vector(x, y)", LENGTH, ("x", "y")),
         ("5 when flag", NUMBER, None),
         ("x > 0", NUMBER, None),
@@ -69,7 +69,7 @@ def test_dimension_and_components_follow_from_the_parts(bench, text, dimension, 
         ("x + flag", "DB403", "flag"),
         ("not x", "DB403", "x"),
         ("flag and gas", "DB403", "gas"),
-        ("where(x, 1, 2)", "DB403", "x"),
+        ("1 if x else 2", "DB403", "x"),
         ("sum(bumps)", "DB403", "bumps"),
         ("spede", "DB402", "spede"),
         ("home.q", "DB402", "home.q"),
@@ -116,7 +116,7 @@ def test_an_unknown_name_lists_what_is_known_and_suggests_the_nearest(bench):
 
 
 def test_a_bare_zero_fits_every_dimension(bench):
-    for text in ("x > 0", "where(flag, x, 0)", "max(speed, 0)", "clamp(x, 0 .. 1 m)", "delta(angle, 0)", "vector(x, 0, -0)"):
+    for text in ("x > 0", "x if flag else 0", "max(speed, 0)", "clamp(x, 0 .. 1 m)", "delta(angle, 0)", "vector(x, 0, -0)"):
         bench.clean(text)
 
 

@@ -18,7 +18,7 @@ parameters: {place: uniform(-0.3 .. 0.3 m)}
 action: {drive: -1 .. 1}
 goal: {achieved: x, desired: place, tolerance: 2 cm, range: -0.4 .. 0.4 m}
 reward:
-  near: where(goal_reached, 0, -1)
+  near: 0 if goal_reached else -1
 truncation: {max_steps: 40}
 train: {algorithm: SAC, total_timesteps: 200, environments: 2, replay: her, network: {hidden: [8]}, learning_starts: 80}
 """,

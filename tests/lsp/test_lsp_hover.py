@@ -47,7 +47,7 @@ def test_keys_and_words_tell_what_they_are_for(client, pit, around, said):
     assert [words for words in said if words not in found] == []
 
 
-@pytest.mark.parametrize("around", ["running_m¦ax(norm", "no¦rm(position", "ho¦ld(where(reach"])
+@pytest.mark.parametrize("around", ["running_m¦ax(norm", "no¦rm(position", "ho¦ld(0.5 * reach"])
 def test_functions_tell_their_signature_and_meaning(client, pit, around):
     name = around.replace("¦", "").partition("(")[0]
     found = client.hover(pit, around)

@@ -51,7 +51,7 @@ def test_a_stateful_function_gives_the_sequence_of_its_definition(small: Small, 
 
 
 def test_memory_advances_also_while_its_branch_is_not_taken(small: Small) -> None:
-    found = terms(small('reward: {late: "where(step >= 4, delta(drive), 0)", held: "where(step == 5, running_max(drive), 0)"}'))
+    found = terms(small('reward: {late: "delta(drive) if step >= 4 else 0", held: "running_max(drive) if step == 5 else 0"}'))
     assert found["late"] == [0.0, 0.0, 0.0, 0.0, -1.5]
     assert found["held"] == [0.0, 0.0, 0.0, 0.0, 1.0]
 

@@ -97,7 +97,7 @@ def test_an_ending_that_holds_at_the_start_is_told_and_leaves_nothing_to_step(sm
     [
         ("1 / (step - 3)", "1.0 / (self.step_count - 3.0)"),
         ("sqrt(2.5 - step)", "sqrt(2.5 - self.step_count)"),
-        ("where(step == 3, exp(1000 * step), 0)", "exp(1000.0 * self.step_count)"),
+        ("exp(1000 * step) if step == 3 else 0", "exp(1000.0 * self.step_count)"),
         ("log(3 - step)", "log(3.0 - self.step_count)"),
     ],
 )
