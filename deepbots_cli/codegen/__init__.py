@@ -133,7 +133,6 @@ def batch_obstacles(scenario: Program) -> list[str]:
             "it has cameras, whose pictures are drawn world by world",
         ),
         (bool(scenario.python_functions), "it runs code of packages, which computes single numbers"),
-        (any(option.forbidden for part in agent.choices for option in part.options), "it forbids choices, and a batch computes no masks"),
     ]
     found = [reason for holds, reason in reasons if holds]
     if not found:

@@ -478,7 +478,7 @@ def _observed(supervisor: SupervisorPrinter, printer: Printer, entry: Observatio
 
 
 def _print_masks(supervisor: SupervisorPrinter, printer: Printer) -> None:
-    """Print the options that the agent may choose next; at least one option of each choice must be allowed."""
+    """Print the options that the agent may choose next; at least one option of each choice must be allowed. A batch checks this itself."""
     if not supervisor.forbids_options:
         return
     repeat = supervisor.scenario.action_repeat
@@ -487,8 +487,11 @@ def _print_masks(supervisor: SupervisorPrinter, printer: Printer) -> None:
     )
     for part in supervisor.choices:
         if any(option.forbidden is not None for option in part.options):
-            allowed = f"self.allowed_{part.name}"
-            printer.line(f"{allowed} = {tuple_code([_allowed(printer, option) for option in part.options])}")
+            allowed, options = f"self.allowed_{part.name}", [_allowed(printer, option) for option in part.options]
+            if not printer.on_floats:
+                printer.line(f"self.allow({', '.join([quoted(part.name), *options])})")
+                continue
+            printer.line(f"{allowed} = {tuple_code(options)}")
             if all(option.forbidden is not None for option in part.options):
                 printer.line(f"if not any({allowed}) and {chooses}:")
                 printer.line(f"    self._nothing_allowed({quoted(part.name)})")
@@ -497,5 +500,4 @@ def _print_masks(supervisor: SupervisorPrinter, printer: Printer) -> None:
 def _allowed(printer: Printer, option: Option) -> str:
     if option.forbidden is None:
         return "True"
-    code = printer.value(option.forbidden.scalar)
-    return f"not {code}" if code.replace("_", "").isalnum() else f"not ({code})"
+    return printer.operation("not", [printer.code(option.forbidden.scalar)]).text

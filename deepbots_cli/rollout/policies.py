@@ -111,7 +111,8 @@ def play_batch(
     """
     on_episode, until = on_episode or (lambda done, of: None), until or (lambda episodes: False)
     size, count = FORWARD_BATCH_SIZE, worlds.count
-    passes = [ForwardPass(worlds.observation_space, None) for _ in range(0, count, size)]
+    choices = _choices(worlds.singles[0]) if policy.takes_masks else None
+    passes = [ForwardPass(worlds.observation_space, choices) for _ in range(0, count, size)]
     waiting = [deque(range(count + (row - count) % size, len(seeds), size)) for row in range(size)]
     numbers, running = list(range(count)), BatchEpisodes(worlds)
     finished: dict[int, Episode] = {}
@@ -122,10 +123,11 @@ def play_batch(
         seen = worlds.reset(seeds[:count])
         drawn = [single.drawn() for single in worlds.singles]
         while not running.resting.all():
+            masks = None if choices is None else worlds.action_masks()
             for place, forward in enumerate(passes):
                 those = slice(place * size, min(count, (place + 1) * size))
                 if answers[place] is None or not running.resting[those].all():
-                    forward.put_all(seen, those)
+                    forward.put_all(seen, those, masks)
                     answers[place] = forward.predict(policy, deterministic=True)
             outcome = running.step_all(np.concatenate(answers)[:count])
             if len(worlds.losses) > lost:
@@ -160,13 +162,16 @@ class PolicyDriver(Driver):
     they always are: each forward pass has a row for each copy.
 
     Args:
-        rows: The number of worlds of a batch like `world`, whose episodes go on together.
+        batch: That of `world`, in all of whose worlds the policy acts, with a row for each.
     """
 
-    def __init__(self, policy: Predictor, world: gym.Env[Any, Any], *, deterministic: bool = True, rows: int = 0) -> None:
+    def __init__(
+        self, policy: Predictor, world: gym.Env[Any, Any], *, deterministic: bool = True, batch: BatchSupervisor | None = None
+    ) -> None:
         self._policy, self._world, self._deterministic = policy, world, deterministic
-        self._size = rows or (len(world.get_wrapper_attr("agents")) if has_copies(world) else 0)
-        self._takes_masks = policy.takes_masks and not rows and world.has_wrapper_attr("action_masks")
+        self._size = batch.count if batch else len(world.get_wrapper_attr("agents")) if has_copies(world) else 0
+        self._takes_masks = policy.takes_masks and world.has_wrapper_attr("action_masks")
+        self._masks = batch.action_masks if batch else lambda: world.get_wrapper_attr("action_masks")()
         self._forward: ForwardPass | None = None
         self._row, self._starts = 0, np.ones(self._size or 1, bool)
         self._memory: Any = None
@@ -183,7 +188,7 @@ class PolicyDriver(Driver):
         if self._forward is not None:
             self._forward.put(self._row, observation, self._world)
             return self._forward.predict(self._policy, deterministic=self._deterministic)[self._row]
-        masks = self._world.get_wrapper_attr("action_masks")() if self._takes_masks else None
+        masks = self._masks() if self._takes_masks else None
         if masks is not None and self._size:
             masks = masks.reshape(self._size, -1)
         action, self._memory = self._policy.predict(observation, self._memory, self._starts, self._deterministic, masks)
@@ -212,9 +217,11 @@ class ForwardPass:
         self.starts[:] = False
         return actions
 
-    def put_all(self, observations: Any, worlds: slice) -> None:
+    def put_all(self, observations: Any, worlds: slice, masks: Array | None) -> None:
         """Take the rows of these worlds of a batch, the first as the first row."""
         count = worlds.stop - worlds.start
+        if self.masks is not None and masks is not None:
+            self.masks[:count] = masks[worlds]
         if isinstance(self.observations, dict):
             for key, rows in self.observations.items():
                 rows[:count] = observations[key][worlds]

@@ -335,6 +335,14 @@ class BatchWorlds(Worlds):
                 mine[rows] = other[rows]
         return seen
 
+    def action_masks(self) -> Array:
+        (_, first), *others = self._batches.items()
+        masks = first.batch.action_masks()
+        for stage, episodes in others:
+            rows = self._in(stage)
+            masks[rows] = episodes.batch.action_masks()[rows]
+        return masks
+
     def step_all(self, actions: Any) -> WorldsStep:
         rewards, dones = np.zeros(self.rows, np.float32), np.zeros(self.rows, bool)
         infos: list[dict[str, Any]] = [{}] * self.rows

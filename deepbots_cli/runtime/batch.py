@@ -23,7 +23,7 @@ from deepbots_cli.program.robots import Direction, Sensor
 from deepbots_cli.runtime.columns import BatchMemory, stacked
 from deepbots_cli.runtime.devices import BatchDevice, stack_worlds
 from deepbots_cli.runtime.messages import LossyChannel
-from deepbots_cli.runtime.spaces import by_part, frame_indices, joined
+from deepbots_cli.runtime.spaces import by_part, frame_indices, joined, mask_of_space
 from deepbots_cli.runtime.supervisor import RobotController, Supervisor
 
 Column = NDArray[Any]
@@ -238,6 +238,10 @@ class BatchSupervisor(_BatchPart, ABC):
         size = len(self.scenario.agent.goal.low) if self.scenario.agent.goal else 0
         self.goal = np.zeros((2 * size, self.count), np.float32)
         self._size = size
+        choices = self.scenario.agent.choices
+        self.forbids_options = any(option.forbidden for part in choices for option in part.options)
+        self._allowed = {part.name: np.ones((len(part.options), self.count), bool) for part in choices}
+        """Which options of each choice may be chosen next, a row per option."""
         self._forget()
         self.bind(engine)
 
@@ -305,7 +309,8 @@ class BatchSupervisor(_BatchPart, ABC):
         warning.
 
         Raises:
-            EvaluationError: An expression has no value in a world that is finite, or an episode would end before its first step.
+            EvaluationError: An expression has no value in a world that is finite, all options of a choice are forbidden, or an episode
+                would end before its first step.
         """
         known = len(self.losses)
         outcome = self.advance(action)
@@ -326,6 +331,8 @@ class BatchSupervisor(_BatchPart, ABC):
         self._acting = self.running = None
         if self._lost.any():
             self._give_up()
+        if self.forbids_options:
+            self._require_choices(resting)
         observations, rewards, terms = self.observations(), self.rewards(), self.terms()
         terminated, truncated = self.terminated, self.truncated
         ended = terminated | truncated
@@ -394,6 +401,9 @@ class BatchSupervisor(_BatchPart, ABC):
             single = self.singles[world]
             self.frames[:, :, world] = single.frames[: self.frames.shape[1]]
             self.goal[:, world] = single.goal
+            if self.forbids_options:
+                for mask, allowed in zip(self._allowed.values(), single.allowed(), strict=True):
+                    mask[:, world] = allowed
         counts, ends = ("step_count", "timestep_count", "reward", "previous_reward", "episode_return"), ("terminated", "truncated")
         for name in (*counts, *ends, "is_success", "_lost"):
             column = columns_array(getattr(self, name), self.count)
@@ -417,8 +427,9 @@ class BatchSupervisor(_BatchPart, ABC):
         if self.truncated[world]:
             held = (NOT_FINITE if self._lost[world] else self._limit,)
         terms = {name: float(np.broadcast_to(getattr(self, f"term_{name}"), self.count)[world]) for name in self.TERMS}
-        success = bool(self.is_success[world])
-        return {"is_success": success, "ended_by": held[0] if held else None, "endings": held, "reward_terms": terms}
+        info = {"is_success": bool(self.is_success[world]), "ended_by": held[0] if held else None, "endings": held}
+        masks = {"action_mask": self.action_mask(world)} if self.forbids_options else {}
+        return {**info, **masks, "reward_terms": terms}
 
     def rewards(self) -> Column:
         """The rewards of the last step, a copy."""
@@ -439,6 +450,14 @@ class BatchSupervisor(_BatchPart, ABC):
             return seen
         goals = np.ascontiguousarray(self.goal.T)
         return {"observation": seen, "achieved_goal": goals[:, : self._size].copy(), "desired_goal": goals[:, self._size :].copy()}
+
+    def action_masks(self) -> Column:
+        """`Supervisor.action_masks` of each world, a row each; a copy."""
+        return np.concatenate(list(self._allowed.values())).T.copy()
+
+    def action_mask(self, worlds: Any = slice(None)) -> Any:
+        """`Supervisor.action_mask` of some worlds, with a row per world in each array."""
+        return mask_of_space(self.action_space, [mask.T[worlds].astype(np.int8) for mask in self._allowed.values()])
 
     def close(self) -> None:
         """Release all worlds."""
@@ -521,7 +540,21 @@ class BatchSupervisor(_BatchPart, ABC):
             if len(worlds):
                 rows = np.flatnonzero(~np.isfinite(frame).all(axis=1))
                 names = ", ".join(dict.fromkeys(self.scenario.agent.numbers[row].name for row in rows))
-                raise self._no_value(int(worlds[0]), f"the observation {names}")
+                raise self._failed(int(worlds[0]), f"the observation {names} is not finite")
+
+    def allow(self, choice: str, *allowed: Any) -> None:
+        """Let some options of a choice be allowed next: a column of truth values for each."""
+        for row, may in zip(self._allowed[choice], allowed, strict=True):
+            row[:] = self._where_running(may, row)
+
+    def _require_choices(self, resting: Column | None) -> None:
+        """Raise: EvaluationError: Every option of a choice is forbidden in a world whose episode goes on."""
+        for name, mask in self._allowed.items():
+            stuck = ~(mask.any(axis=0) | self.terminated | self.truncated | (False if resting is None else resting))
+            if stuck.any():
+                options = next(part.options for part in self.scenario.agent.choices if part.name == name)
+                names = ", ".join(option.name for option in options)
+                raise self._failed(int(stuck.argmax()), f"every option of '{name}' is forbidden: {names}")
 
     def next_frame(self) -> None:
         """Make room for what the policies see after this step."""
@@ -561,8 +594,9 @@ class BatchSupervisor(_BatchPart, ABC):
         if wrong.any() and (self.running is None or (wrong & self.running).any()):
             world = int(np.flatnonzero(wrong)[0])
             terms = [name for name, value in zip(self.TERMS, self.terms()[:, world], strict=True) if not np.isfinite(value)]
-            raise self._no_value(world, f"the reward term '{terms[0]}'" if terms else "the sum of the reward terms")
+            culprit = f"the reward term '{terms[0]}'" if terms else "the sum of the reward terms"
+            raise self._failed(world, f"{culprit} is not finite")
 
-    def _no_value(self, world: int, what: str) -> EvaluationError:
+    def _failed(self, world: int, what: str) -> EvaluationError:
         seed = self.singles[world].streams.root
-        return EvaluationError(f"step {int(self.step_count[world])} of world {world} (seed {seed}): {what} is not finite")
+        return EvaluationError(f"step {int(self.step_count[world])} of world {world} (seed {seed}): {what}")

@@ -65,6 +65,13 @@ def compose_action(space: gym.Space[Any], choices: Sequence[int], ranges: Sequen
     return np.array(choices, np.int64) if choices else np.array(ranges, np.float32)
 
 
+def mask_of_space(space: gym.Space[Any], masks: Sequence[NDArray[np.int8]]) -> Any:
+    """Masks of options, one of each choice, in the form that `space.sample` takes; each may have a row per world."""
+    if isinstance(space, gym.spaces.Dict):
+        return {"choices": mask_of_space(space["choices"], masks), "ranges": None}
+    return masks[0] if isinstance(space, gym.spaces.Discrete) else tuple(masks)
+
+
 def canonical_action(space: gym.Space[Any], action: Any) -> Any:
     """The action as generated code takes it (int or array), or None if it is none of this space."""
     try:

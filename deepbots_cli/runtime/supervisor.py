@@ -36,6 +36,7 @@ from deepbots_cli.runtime.spaces import (
     compose_action,
     frame_indices,
     is_canonical,
+    mask_of_space,
     observation_space,
     recompute_rewards,
 )
@@ -319,10 +320,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     def action_mask(self) -> Any:
         """The masks of `action_masks` in the form that `action_space.sample` takes."""
-        masks = tuple(np.array(mask, np.int8) for mask in self.allowed())
-        if isinstance(self.action_space, gym.spaces.Dict):
-            return {"choices": masks[0] if len(masks) == 1 else masks, "ranges": None}
-        return masks[0] if isinstance(self.action_space, gym.spaces.Discrete) else masks
+        return mask_of_space(self.action_space, [np.array(mask, np.int8) for mask in self.allowed()])
 
     def reward_for(self, achieved_goal: Any, desired_goal: Any) -> Any:
         """The reward for goals as the policy sees them: for arrays (n, k) an array of n, for arrays (k,) a number.

@@ -46,7 +46,7 @@ class BatchPlayer(Player):
             UsageError: It is a script, which reads what only a single world computes.
         """
         if name == POLICY and self.opened.run is not None:
-            self.driver = RunDriver(self.opened.run, self.env, rows=self.worlds)
+            self.driver = RunDriver(self.opened.run, self.env, self.batch)
         elif name in (HAND, RANDOM, ZERO):
             each = [self._make_driver(single, name) for single in self.batch.singles]
             self.driver = Driver(lambda _: joined([driver.act(None) for driver in each]))
@@ -108,7 +108,14 @@ class BatchPlayer(Player):
         if step := int(batch.step_count[world]):  # before the first step, the single world has all of it
             info, (name, agent) = batch.info(world), next(iter(frame.agents.items()))
             terms = dict(zip(batch.TERMS, self._terms[:, world].tolist(), strict=True))
-            agent = replace(agent, reward=float(self._rewards[world]), episode_return=float(self._running.returns[world]), terms=terms)
+            allowed = batch.action_masks()[world].tolist() if batch.forbids_options and not self._running.resting[world] else ()
+            agent = replace(
+                agent,
+                reward=float(self._rewards[world]),
+                episode_return=float(self._running.returns[world]),
+                terms=terms,
+                allowed=() if all(allowed) else tuple(allowed),
+            )
             frame = replace(
                 frame,
                 step=step,

@@ -23,6 +23,7 @@ from deepbots_cli.rollout import Driver, Start, Step, steps
 from deepbots_cli.rollout.drivers import HAND, POLICY, RANDOM, RECORDED, ZERO, action_from_values, named_driver
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.runtime import Supervisor
+from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.paths import Ways
 from deepbots_cli.view.frames import FrameReader, WorldFrame
 
@@ -143,8 +144,8 @@ class ShowingState:
 class RunDriver(Driver):
     """The best policy of a run, which acts as in an evaluation; while the run is trained, the newest one of each episode."""
 
-    def __init__(self, run: Run, env: Supervisor, rows: int = 0) -> None:
-        """`rows` are the worlds of a batch, which one forward pass acts in."""
+    def __init__(self, run: Run, env: Supervisor, batch: BatchSupervisor | None = None) -> None:
+        """In a `batch`, one forward pass acts in all worlds."""
         try:
             from deepbots_cli.learning import evaluation
             from deepbots_cli.learning.learner import steps_of
@@ -155,7 +156,7 @@ class RunDriver(Driver):
             raise RunError(f"the policy of {run.path} does not fit the changed scenario:\n  " + "\n  ".join(differences))
         self._load, self._driver = evaluation.load_model, PolicyDriver
         self._steps_of = steps_of
-        self._run, self._env, self._rows = run, env, rows
+        self._run, self._env, self._batch = run, env, batch
         self._policy: Driver | None = None
         self._stamp: tuple[int, int] | None = None
         self.begin(Start())
@@ -167,12 +168,12 @@ class RunDriver(Driver):
         name = next(iter(found if not running else sorted(found, key=found.__getitem__, reverse=True)), None)
         if name is not None and found[name] != self._stamp:
             model = self._load(self._run, name, self._env)
-            self._policy, self._stamp = self._driver(model, self._env, rows=self._rows), found[name]
+            self._policy, self._stamp = self._driver(model, self._env, batch=self._batch), found[name]
             self.note = f"policy after {self._steps_of(self._run.model(name)):,} steps{self._stage()}" if running else ""
         if self._policy is not None:
             self._policy.begin(start)
         elif running:
-            self._space = batch_space(self._env.action_space, self._rows) if self._rows else self._env.action_space
+            self._space = batch_space(self._env.action_space, self._batch.count) if self._batch else self._env.action_space
             self.note = "the training has saved no policy yet: random actions"
         else:
             raise RunError(f"{self._run.path} holds no model yet; train it, or show its scenario")

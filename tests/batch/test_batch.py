@@ -18,12 +18,12 @@ from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.engines import ENGINES
-from deepbots_cli.errors import BatchError, UsageError
+from deepbots_cli.errors import BatchError, EvaluationError, UsageError
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.spaces import fitting_rows
 from deepbots_cli.runtime.vector import BatchEnvironment
 
-FAST = ("cartpole", "find_ball", "pit_escape", "balancer")
+FAST = ("cartpole", "find_ball", "find_and_avoid", "pit_escape", "balancer")
 PUSHED = str(Path(__file__).parents[1] / "data" / "scenarios" / "pushed.yaml")
 SHORTER = {PUSHED: ("truncation.max_time=4 s",), "quadruped": ("truncation.max_time=4 s",)}
 """Settings with which episodes end within 500 steps."""
@@ -49,6 +49,13 @@ def taken(part: Any, world: int) -> Any:
     return {key: value[world] for key, value in part.items()} if isinstance(part, dict) else part[world]
 
 
+def masks(info: dict[str, Any]) -> list[Any]:
+    """The mask of each choice; none where nothing is ever forbidden."""
+    found = info.get("action_mask", ())
+    found = found["choices"] if isinstance(found, dict) else found
+    return [found] if isinstance(found, np.ndarray) else list(found)
+
+
 def assert_same(mine: Any, other: Any) -> None:
     """To the bit."""
     np.testing.assert_array_equal(rows(mine), rows(other))
@@ -70,15 +77,18 @@ def compare(name: str, worlds: int, steps: int, overrides: tuple[str, ...] = (),
             observations, rewards, terminated, truncated, infos = batch.step(actions)
             for world, single in enumerate(singles):
                 seen, reward, *ends, info = single.step(taken(actions, world))
+                last = info
                 assert ends == [terminated[world], truncated[world]]
                 assert rewards[world] == reward
                 if any(ends):
                     ended += 1
                     assert_same(infos["final_obs"][world], seen)
-                    assert infos["final_info"]["ended_by"][world] == info["ended_by"]
-                    assert infos["final_info"]["is_success"][world] == info["is_success"]
-                    seen, _ = single.reset()
+                    assert infos["final_info"]["ended_by"][world] == last["ended_by"]
+                    assert infos["final_info"]["is_success"][world] == last["is_success"]
+                    seen, info = single.reset()
                 assert_same(taken(observations, world), seen)
+                for mine, other in zip(masks(infos), masks(info), strict=True):
+                    np.testing.assert_array_equal(mine[world], other)
     for single in singles:
         single.close()
     return ended
@@ -98,6 +108,24 @@ def test_memories_of_apply_wait_for_late_messages_in_a_batch_too(start: str) -> 
         "messages.to_robot={latency: uniform(0 .. 100 ms) each step, order: arrival}",
     )
     assert compare("cartpole", worlds=3, steps=60, overrides=overrides) > 0
+
+
+MASKABLE = "train={algorithm: MaskablePPO, total_timesteps: 1000}"
+CHOICES = "{choices: {forward: 1, keep: 0, backward: -1}, forbid: {forward: x > 5 mm, keep: step > 9}}"
+
+
+@pytest.mark.parametrize("action", [f"drive: {CHOICES}", f"other: {{choices: {{on: 1, off: 0}}}}, drive: {CHOICES}"])
+def test_masks_of_a_batch_are_those_of_single_worlds(action: str) -> None:
+    assert compare("cartpole", worlds=3, steps=40, overrides=(f"action={{{action}}}", "agent={action_repeat: 2}", MASKABLE)) > 0
+
+
+def test_a_world_of_a_batch_in_which_nothing_is_allowed_is_named() -> None:
+    overrides = ("action={drive: {choices: {forward: 1, backward: -1}, forbid: {forward: step > 1, backward: x > 0 m}}}", MASKABLE)
+    with closing(deepbots_cli.make_vec(api.compile("cartpole", overrides=overrides), 2)) as batch:
+        batch.reset(seed=0)
+        batch.step(np.array([1, 0]))
+        with pytest.raises(EvaluationError, match=r"step 2 of world 1 \(seed 1\): every option of 'drive' is forbidden: forward, backward"):
+            batch.step(np.array([1, 0]))
 
 
 HAND = Path(__file__).parents[1] / "golden" / "lint" / "robots" / "hand.urdf"

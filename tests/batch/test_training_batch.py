@@ -24,6 +24,10 @@ from deepbots_cli.rollout.worlds import BatchWorlds, Worlds, observation_digest
 from deepbots_cli.runtime import Supervisor
 
 SEEDS = (3, 4, 5)
+MASKED = (
+    "action={drive: {choices: {forward: 1, backward: -1}, forbid: {backward: x > 3 mm}}}",
+    "train={algorithm: MaskablePPO, total_timesteps: 1000, environments: 8, n_steps: 32, n_epochs: 1}",
+)
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +35,9 @@ def program() -> Program:
     return api.compile("cartpole").program
 
 
-def test_a_learner_sees_the_same_of_a_batch_as_of_single_worlds(program: Program) -> None:
+@pytest.mark.parametrize(("name", "overrides"), [("cartpole", ()), ("cartpole", MASKED)], ids=["cartpole", "masked"])
+def test_a_learner_sees_the_same_of_a_batch_as_of_single_worlds(name: str, overrides: tuple[str, ...]) -> None:
+    program = api.compile(name, overrides=overrides).program
     told: dict[str, list[tuple[int, Episode]]] = {"batch": [], "single": []}
     batched = BatchWorlds(
         lambda stage: api.build_batch(program, 3), SEEDS, on_episode=lambda world, episode: told["batch"].append((world, episode))
@@ -42,9 +48,11 @@ def test_a_learner_sees_the_same_of_a_batch_as_of_single_worlds(program: Program
         np.testing.assert_array_equal(batched.reset(), usual.reset())
         generator = np.random.default_rng(0)
         for _ in range(60):
-            actions = generator.integers(0, 2, 3)
+            actions = generator.integers(0, 2, usual.rows)
             for mine, other in zip(batched.step_all(actions)[:3], usual.step_all(actions)[:3], strict=True):
                 np.testing.assert_array_equal(mine, other)
+            np.testing.assert_array_equal(batched.action_masks(), usual.action_masks())
+    assert batched.action_masks().all() == (not overrides)
     assert told["batch"] == told["single"] != []
 
 
@@ -132,6 +140,7 @@ def evaluated(name: str, worlds: int, seeds: list[int], overrides: tuple[str, ..
     ("name", "overrides"),
     [
         ("cartpole", ("action={drive: -1 .. 1}", "truncation.max_steps=20")),  # episodes of many lengths
+        ("cartpole", (*MASKED, "truncation.max_steps=20")),
         ("quadrotor", ("truncation={max_steps: 2}",)),  # several timesteps in a step, and functions that numpy rounds otherwise
     ],
 )
@@ -168,10 +177,12 @@ def test_a_batch_enters_the_next_stage_after_an_evaluation(tmp_path: Path) -> No
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "stages", ["", "curriculum=[{name: easy, set: {fall_angle: 20 deg}, until: 480 steps}, {name: hard}]"], ids=["alone", "curriculum"]
+    "changes",
+    [(), ("curriculum=[{name: easy, set: {fall_angle: 20 deg}, until: 480 steps}, {name: hard}]",), MASKED],
+    ids=["alone", "curriculum", "masked"],
 )
-def test_a_training_over_a_batch_resumes_to_the_bit(tmp_path: Path, stages: str) -> None:
-    overrides = ["train.n_steps=32", "train.n_epochs=1", *([stages] if stages else [])]
+def test_a_training_over_a_batch_resumes_to_the_bit(tmp_path: Path, changes: tuple[str, ...]) -> None:
+    overrides = [*changes, "train.n_steps=32", "train.n_epochs=1"]
     compiled = api.compile("cartpole", overrides=overrides)
     whole = learning.train(compiled, run=tmp_path / "whole", total_timesteps=1024, engine="mujoco", stop_when_solved=False)
     learning.train(compiled, run=tmp_path / "parts", total_timesteps=512, engine="mujoco", stop_when_solved=False)
