@@ -127,8 +127,10 @@ class BatchLossyChannel:
     def send(self, message: Any) -> None:
         count = len(self._channels)
         messages = zip(*(_rows(field, count) for field in message), strict=True) if message else iter([()] * count)
-        for channel, one in zip(self._channels, messages, strict=True):
-            channel.send(one)
+        running = self._batch.running
+        for world, (channel, one) in enumerate(zip(self._channels, messages, strict=True)):
+            if running is None or running[world]:
+                channel.send(one)
 
     def newest(self) -> Any:
         return [stack_worlds(values) for values in zip(*(channel.newest() for channel in self._channels), strict=True)]
@@ -510,7 +512,7 @@ class BatchSupervisor(_BatchPart, ABC):
 
     def redraw(self, due: Any, draw: Callable[[Any], None], *names: str) -> None:
         """Let the single worlds that are due draw values anew."""
-        worlds = np.flatnonzero(np.broadcast_to(due, self.count)).tolist()
+        worlds = np.flatnonzero(np.broadcast_to(due if self.running is None else due & self.running, self.count)).tolist()
         for world in worlds:
             single = self.singles[world]
             single.step_count, single.timestep_count = int(self.step_count[world]), int(self.timestep_count[world])

@@ -110,6 +110,11 @@ def test_memories_of_apply_wait_for_late_messages_in_a_batch_too(start: str) -> 
     assert compare("cartpole", worlds=3, steps=60, overrides=overrides) > 0
 
 
+def test_a_world_whose_episode_ends_within_a_step_draws_nothing_in_its_other_timesteps() -> None:
+    """Losses and latencies of the next episode are those of a single world."""
+    assert compare("cartpole_wireless", worlds=3, steps=45, overrides=("agent={action_repeat: 3}",)) > 0
+
+
 MASKABLE = "train={algorithm: MaskablePPO, total_timesteps: 1000}"
 CHOICES = "{choices: {forward: 1, keep: 0, backward: -1}, forbid: {forward: x > 5 mm, keep: step > 9}}"
 
