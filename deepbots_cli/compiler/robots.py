@@ -17,7 +17,7 @@ from deepbots_cli.document.nodes import MappingNode, descend
 from deepbots_cli.expressions import intervals, syntax
 from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, MASS, NUMBER, TIME, TORQUE, UNITS, Dimension, Unit
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval, single
-from deepbots_cli.expressions.types import Context, Kind, Known, Scope, Subject, Symbol, Type, shortened_list
+from deepbots_cli.expressions.types import Context, Kind, Known, Scope, Subject, Symbol, Type
 from deepbots_cli.frames import IDENTITY_FRAME, Frame, compose
 from deepbots_cli.frames import frame as pose_frame
 from deepbots_cli.program.resets import OfJoint, OfLink
@@ -454,16 +454,12 @@ def locate_file(reference: str, span: Span, document: Document, values: ValueRea
         if found is None:
             values.add("DB204", span, f"`{reference}` does not exist", "the package must be installed and contain this file")
         return found
-    beside = files.resolve_reference(reference, document.directory_of(span), document.roots)
-    if isinstance(beside, FilePath):
-        return beside
-    by_name = shipped.robot_path(reference) if robot else None
-    if by_name is not None:
-        return by_name
-    notes = (f"shipped robots are {shortened_list(shipped.robot_names())}",) if robot else ()
+    located = files.resolve_reference(reference, document.directory_of(span), document.roots, shipped.ROBOTS if robot else None)
+    if isinstance(located, FilePath):
+        return located
     library = meshes.library_reference(reference)
     fix = Fix.replacing(span, reference, library, safe=False) if library else None
-    values.add("DB204", span, beside.headline, f"did you mean `{library}`?" if library else beside.help, notes=notes, fix=fix)
+    values.add("DB204", span, located.headline, f"did you mean `{library}`?" if library else located.help, notes=located.notes, fix=fix)
     return None
 
 

@@ -10,18 +10,20 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from deepbots_cli.diagnostics import Findings, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.document.shipped import Library
 from deepbots_cli.files import read_at_most
 
 MAX_BYTES = 1 << 20
 MAX_TOTAL_BYTES = 8 << 20
 """All files of a scenario together."""
 
+_MAX_LISTED = 24
 _PROJECT_MARKERS = ("deepbots.toml", "pyproject.toml", ".git")
 # Outside YAML's printable characters, or a line end that editors and YAML count differently.
 FORBIDDEN_CHARACTERS = re.compile("[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]|\r(?!\n)")
@@ -40,6 +42,8 @@ class UnusableFile:
     roots: tuple[Path, ...] = ()
     through_link: bool = False
     """Whether the file is outside only because a symbolic link leads there."""
+    library: Library | None = None
+    """The shipped files that could have been named instead of a path."""
 
     @property
     def headline(self) -> str:
@@ -54,8 +58,22 @@ class UnusableFile:
             return f"move {it} into {self.roots[0] if self.roots else 'the project'}, or allow its folder with --allow-path"
         if self.reason == "irregular":
             return "write the path of a file"
-        near = _similar(self.path)
-        return f"did you mean {near}?" if near else f"paths are relative to the file that contains them; {self.path} does not exist"
+        if near := _similar(self.path):
+            return f"did you mean {near}?"
+        if self.nearest_name:
+            return f"did you mean `{self.nearest_name}`, which is shipped with deepbots?"
+        return f"paths are relative to the file that contains them; {self.path} does not exist"
+
+    @property
+    def nearest_name(self) -> str | None:
+        """The shipped file that was probably meant."""
+        return nearest_word(self.reference, self.library.names()) if self.library and self.reason == "missing" else None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        names = self.library.names() if self.library else []
+        more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
+        return (f"shipped {self.library.noun}s are {', '.join(names[:_MAX_LISTED])}{more}",) if self.library else ()
 
 
 def _similar(path: Path) -> str | None:
@@ -67,12 +85,19 @@ def _similar(path: Path) -> str | None:
         return None
 
 
-def resolve_reference(reference: str, base: Path, roots: Iterable[Path]) -> Path | UnusableFile:
-    """The file for `reference`, written in a file of the folder `base`.
+def resolve_reference(reference: str, base: Path, roots: Iterable[Path], library: Library | None = None) -> Path | UnusableFile:
+    """The file for `reference`, written in a file of the folder `base`: a path, or else the name of a file of the `library`.
 
     Symbolic links are followed before the path is compared with the `roots`, whose links are already followed.
     """
-    roots = tuple(roots)
+    found = _file_at(reference, base, tuple(roots))
+    if library is None or isinstance(found, Path):
+        return found
+    shipped = library.path(reference)
+    return shipped.resolve() if shipped else replace(found, library=library)
+
+
+def _file_at(reference: str, base: Path, roots: tuple[Path, ...]) -> Path | UnusableFile:
     path = base / reference.replace("\0", "\ufffd")
     try:
         written, path = Path(os.path.normpath(base.resolve() / path)), path.resolve()

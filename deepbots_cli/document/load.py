@@ -247,13 +247,14 @@ class _Reader:
         """The tree of the file that `extends` or `include` names."""
         word, value = entry.key.text, entry.value
         if not isinstance(value, ScalarNode) or not isinstance(value.value, str):
-            self.findings.add("DB103", value.span, f"`{word}` takes the path of one file", f"write `{word}: file.yaml`")
+            takes, example = (
+                ("the path or the name of one scenario", "cartpole") if word == "extends" else ("the path of one file", "file.yaml")
+            )
+            self.findings.add("DB103", value.span, f"`{word}` takes {takes}", f"write `{word}: {example}`")
             return None
-        path = files.resolve_reference(value.text, folder, self.roots)
+        path = files.resolve_reference(value.text, folder, self.roots, shipped.SCENARIOS if word == "extends" else None)
         if isinstance(path, files.UnusableFile):
-            found = shipped.scenario_path(value.text) if word == "extends" else None
-            copied = f"`deepbots copy {value.text}` puts a copy beside this file, to be named as `{value.text}.yaml`"
-            self.findings.add("DB204", value.span, path.headline, copied if found else path.help)
+            self.findings.add("DB204", value.span, path.headline, path.help, notes=path.notes)
             return None
         if path in chain:
             circle = " -> ".join(step.name for step in (*chain[chain.index(path) :], path))

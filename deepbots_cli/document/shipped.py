@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from typing import NamedTuple
 
 from deepbots_cli.plugins import entry_points_of, warn_unavailable
 
@@ -48,35 +49,49 @@ def _added_dirs() -> tuple[Path, ...]:
     return tuple(found)
 
 
+class Library(NamedTuple):
+    """The shipped files of one kind, which a scenario may name without a path."""
+
+    noun: str
+    pattern: str
+
+    def names(self) -> list[str]:
+        return _names((data_dir(), *_added_dirs()), self.pattern)
+
+    def path(self, name: str) -> Path | None:
+        """The file called `name` (`cartpole`), if there is one."""
+        if not _NAME.fullmatch(name) or len(name) > 100:
+            return None
+        paths = (folder / self.pattern.replace("*", name) for folder in (data_dir(), *_added_dirs()))
+        return next((path for path in paths if path.is_file()), None)
+
+
+SCENARIOS = Library("scenario", _SCENARIOS)
+ROBOTS = Library("robot", _ROBOTS)
+
+
 def data_roots() -> tuple[Path, ...]:
     """The folders that any scenario may read from, links followed."""
     return tuple((folder / part).resolve() for folder in (data_dir(), *_added_dirs()) for part in ("scenarios", "robots"))
 
 
 def scenario_names() -> list[str]:
-    return _names((data_dir(), *_added_dirs()), _SCENARIOS)
+    return SCENARIOS.names()
 
 
 def scenario_path(name: str) -> Path | None:
-    """The file of the scenario called `name` (`cartpole`), if there is one."""
-    return _existing(name, _SCENARIOS)
+    """The file of the shipped scenario called `name`, if there is one."""
+    return SCENARIOS.path(name)
 
 
 def robot_names() -> list[str]:
-    return _names((data_dir(), *_added_dirs()), _ROBOTS)
+    return ROBOTS.names()
 
 
 def robot_path(name: str) -> Path | None:
-    """The URDF of the robot called `name` (`cartpole`), if there is one."""
-    return _existing(name, _ROBOTS)
+    """The URDF of the shipped robot called `name`, if there is one."""
+    return ROBOTS.path(name)
 
 
 def _names(folders: Iterable[Path], kind: str) -> list[str]:
     return sorted(path.stem for folder in folders for path in folder.glob(kind))
-
-
-def _existing(name: str, kind: str) -> Path | None:
-    if not _NAME.fullmatch(name) or len(name) > 100:
-        return None
-    paths = (folder / kind.replace("*", name) for folder in (data_dir(), *_added_dirs()))
-    return next((path for path in paths if path.is_file()), None)

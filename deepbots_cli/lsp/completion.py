@@ -64,7 +64,7 @@ class Choice(NamedTuple):
 
 _INCLUDE = Choice("include", CompletionItemKind.Keyword, "a file with the value of this mapping; what stands beside it is merged over it")
 _FILE_KEYS = {
-    "extends": "another scenario that this one changes",
+    "extends": "another scenario that this one changes: a path, or the name of a shipped one",
     "remove": "paths to take out of the extended scenario, such as `[observation.tip_speed]`",
 }
 _VERSION_LINE = Choice(f"deepbots: {VERSION}", CompletionItemKind.Keyword, "the first line of a scenario")
@@ -192,7 +192,7 @@ def _word_choices(view: CursorView, data: Any) -> Iterator[Choice]:
                 Choice(word, CompletionItemKind.EnumMember, shape.key, section_description(shape.models[word])) for word in shape.names
             )
     if path and path[-1] in ("include", "extends"):
-        yield from _files(view, (".yaml", ".yml"))
+        yield from _files(view, (".yaml", ".yml"), shipped.SCENARIOS if path[-1] == "extends" else None)
     for shape in shapes_at(path, data):
         if isinstance(shape, FieldType):
             yield from _field_choices(view, shape, path)
@@ -209,7 +209,7 @@ def _field_choices(view: CursorView, field: FieldType, path: NodePath) -> Iterat
         case Reference() | Pattern():
             yield from _named(view, field, path)
         case FilePath(kind=kind):
-            yield from _files(view, _SUFFIXES.get(kind, ()), robots=kind == "robot file")
+            yield from _files(view, _SUFFIXES.get(kind, ()), shipped.ROBOTS if kind == "robot file" else None)
         case Range(auto=True):
             yield Choice("auto", CompletionItemKind.Keyword, "the range that is known")
         case Quantity(words=words, urdf=urdf):
@@ -500,11 +500,11 @@ def _sections(kind: str, path: NodePath) -> tuple[NodePath, ...]:
 _MAX_FILES = 300
 
 
-def _files(view: CursorView, suffixes: tuple[str, ...], *, robots: bool = False) -> Iterator[Choice]:
+def _files(view: CursorView, suffixes: tuple[str, ...], library: shipped.Library | None = None) -> Iterator[Choice]:
     """The files and folders that may continue the path at the cursor."""
     folder, slash, _ = view.place.text.rpartition("/")
-    if robots and not slash:
-        yield from (Choice(name, CompletionItemKind.Module, "a robot that comes with deepbots") for name in shipped.robot_names())
+    if library and not slash:
+        yield from (Choice(name, CompletionItemKind.Module, f"a {library.noun} that comes with deepbots") for name in library.names())
     try:
         root = (view.document.path.parent / f"{folder}{slash}".replace("\0", "")).resolve()
         paths = sorted(root.iterdir())[:_MAX_FILES] if any(root.is_relative_to(allowed) for allowed in view.roots) else []

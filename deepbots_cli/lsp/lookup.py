@@ -277,18 +277,17 @@ def _file(view: CursorView, found: KeyOrValue, open_uris: dict[Path, str]) -> ty
     kinds = [field.kind for field in field_types_at(found.path, view.data) if isinstance(field, FilePath)]
     if found.is_key or not (kinds or found.path[-1:] in (("include",), ("extends",))):
         return None
-    path = _located(view, found.text, robots="robot file" in kinds)
+    library = shipped.SCENARIOS if found.path[-1:] == ("extends",) else shipped.ROBOTS if "robot file" in kinds else None
+    path = _located(view, found.text, library)
     return types.Location(open_uris.get(path) or uri_of(path), _START) if path is not None else None
 
 
-def _located(view: CursorView, reference: str, *, robots: bool) -> Path | None:
+def _located(view: CursorView, reference: str, library: shipped.Library | None) -> Path | None:
     """The file that a reference names; None if no such file exists or the scenario may not read it."""
     if reference.startswith("package://"):
         return meshes.package_file(reference)
-    found = resolve_reference(reference, view.document.path.parent, view.roots)
-    if isinstance(found, Path):
-        return found
-    return shipped.robot_path(reference) if robots else None
+    found = resolve_reference(reference, view.document.path.parent, view.roots, library)
+    return found if isinstance(found, Path) else None
 
 
 def _by_name(view: CursorView) -> list[Span]:

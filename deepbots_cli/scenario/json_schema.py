@@ -151,7 +151,14 @@ def schema_text(known: ScenarioNames | None = None) -> str:
 
 
 _ACROSS_FILES: Json = {
-    "extends": {"type": "string", "description": "Another scenario that this one changes.\n\nExample: extends: cartpole.yaml"},
+    "extends": OfferedNames(dict.fromkeys(shipped.scenario_names(), "a scenario that comes with deepbots")).added_to(
+        {
+            "type": "string",
+            "description": "Another scenario that this one changes: a path relative to this file, or the name of a shipped scenario."
+            "\n\nExample: extends: cartpole",
+        },
+        "a path",
+    ),
     "remove": {
         "type": "array",
         "items": {"type": "string"},

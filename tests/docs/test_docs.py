@@ -29,7 +29,7 @@ PACKAGES = sorted(path.parent for path in (ROOT / "deepbots_cli").rglob("__init_
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 
 FORBIDDEN = re.compile(r"(?<![\w.:/)\]}*-])/[a-z]+/[A-Za-z]\w*|index-url|\bTODO\b")  # an absolute path is some machine's
-UPON_CARTPOLE = "deepbots: 1\nextends: cartpole.yaml\n"
+UPON_CARTPOLE = "deepbots: 1\nextends: cartpole\n"
 
 
 class Block(NamedTuple):

@@ -340,10 +340,19 @@ def test_a_misspelt_section_in_an_assignment_is_not_begun() -> None:
     assert [finding.code for finding in document.findings] == ["DB201"]
 
 
-def test_extending_a_shipped_scenario_by_its_name_says_how_to_copy_it() -> None:
-    (finding,) = loads("deepbots: 1\nextends: cartpole\n").findings
-    assert finding.code == "DB204"
-    assert "deepbots copy cartpole" in (finding.help or "")
+def test_extends_takes_the_name_of_a_shipped_scenario_and_a_file_of_that_name_comes_first(tmp_path: Path) -> None:
+    path = write(tmp_path, main="deepbots: 1\nextends: cartpole\nname: Mine\n")
+    shipped_root, document = data(load(Path(shipped.scenario_path("cartpole") or ""))), load(path)
+    assert data(document) == {key: value for key, value in shipped_root.items() if key != "tests"} | {"name": "Mine"}
+    assert [source.name.split("/")[-1] for source in document.sources] == ["main.yaml", "cartpole.yaml"]
+    (tmp_path / "cartpole").write_text("a: 1\n")
+    assert data(load(path)) == {"deepbots": 1, "name": "Mine", "a": 1}
+
+
+def test_an_unknown_name_under_extends_is_reported_with_the_nearest_shipped_scenario() -> None:
+    (finding,) = loads("deepbots: 1\nextends: cartpoel\n").findings
+    assert (finding.code, finding.help) == ("DB204", "did you mean `cartpole`, which is shipped with deepbots?")
+    assert finding.notes[0].startswith("shipped scenarios are balancer, cartpole, ")
 
 
 def test_a_folder_to_be_allowed_that_is_not_there_is_wrong_usage(tmp_path: Path) -> None:

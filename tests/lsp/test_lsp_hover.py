@@ -132,9 +132,9 @@ def test_an_included_piece_answers_as_the_part_of_the_scenario_that_it_is(client
     client.close(piece)
 
 
-def test_a_shipped_name_leads_to_a_robot_file_where_a_robot_is_due_and_nowhere_else(client, project):
+def test_a_shipped_name_leads_to_the_robot_file_or_the_scenario_that_it_names(client, project):
     uri = client.open(project / "scenarios" / "mine.yaml", "deepbots: 1\nextends: cartpole\nrobots: {cart: {urdf: cartpole}}\n")
-    assert client.definition(uri, "extends: cart¦pole") == []
+    assert client.definition(uri, "extends: cart¦pole") == [("cartpole.yaml", 0, 0)]
     assert client.definition(uri, "urdf: cart¦pole") == [("cartpole.urdf", 0, 0)]
     client.close(uri)
 

@@ -237,18 +237,16 @@ def _rewritten(file: Path, text: str) -> tuple[bytes, list[Path]]:
 
 
 def _references(file: Path, text: str) -> Iterator[tuple[ScalarNode, Path]]:
-    """Every value that names a shipped file, in file order: a path, or the name of a robot as the value of `urdf`."""
+    """Every value that names a shipped file, in file order: a path, or a name as the value of `urdf` or `extends`."""
     root = parse(Source(file.name, text), Findings())
     if root is None:
         return
     for path, node in walk(root):
         if isinstance(node, ScalarNode) and isinstance(node.value, str):
-            found = files.resolve_reference(node.text, file.parent, shipped.data_roots())
-            robot = shipped.robot_path(node.text) if path[-1:] == ("urdf",) else None
+            library = {"urdf": shipped.ROBOTS, "extends": shipped.SCENARIOS}.get(str(path[-1])) if path else None
+            found = files.resolve_reference(node.text, file.parent, shipped.data_roots(), library)
             if isinstance(found, Path):
                 yield node, found
-            elif robot is not None:
-                yield node, robot.resolve()
 
 
 # Writing
