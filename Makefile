@@ -26,7 +26,7 @@ train: setup ## train and evaluate the CartPole
 
 .PHONY: view
 view: $(VENV)/ready-to-view ## a robot in the browser, and how it finds a ball
-	$(BIN)/deepbots view find_ball --script around --open
+	$(BIN)/deepbots view find_ball --driver around --open
 
 .PHONY: test
 test: dev ## the tests, with a few of many cases that show one fact

@@ -43,7 +43,7 @@ class Compiled:
     `code` is printed, and `digest` computed, when first asked for. `inputs` maps a relative path for the copy of every file that was
     read to its bytes, the scenario first; `resolved` is the merged scenario as YAML, which compiles to the same beside a folder `inputs`
     of those copies; `findings` is what `lint` says of it: warnings, and rules that failed (DB903); `permissions` are those that it was
-    read with; `fixed` are the parameters that no episode draws; `edited_code` is the module of an ejected project, which replaces the
+    read with; `fixed` are the parameters that no episode draws; `edited_code` is the edited module of a project, which replaces the
     printed one; `overrides` are the assignments of `--set`.
     """
 

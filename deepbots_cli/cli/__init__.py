@@ -11,7 +11,7 @@ records.py     results of trainings and evaluations as text, JSON, CSV and JUnit
 throughput.py  the measurements of `bench` for several engines and batches
 starters/      the scenarios that `new` writes
 glossary.yaml  the glossary: what `explain` prints and docs/reference/glossary.md holds
-project/       templates of `eject`
+project/       templates of `compile --project`
 """
 
 from __future__ import annotations

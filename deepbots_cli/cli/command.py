@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 import deepbots_cli
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.commands import COMMANDS
+from deepbots_cli.cli.commands import COMMANDS, GROUPS, REPLACEMENTS
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import UsageError
 
@@ -54,16 +54,25 @@ def whole_number(minimum: int = 1, maximum: int | None = None) -> Callable[[str 
     return parse
 
 
-def option(usage: str, help: str, **settings: Any) -> Any:
-    """An option for `Annotated`, from its usage such as `--out -o FILE`: its names, and the word for its value; a flag has none."""
+ADVANCED = "Advanced"
+"""The group of options that few need, and of those that are dangerous; it is the last in the help."""
+EPISODES, SCENARIO, OUTPUT = "Episodes", "Scenario", "Output"
+"""Groups of options: which episodes run and who acts, what is changed in the scenario, and what is written where."""
+
+
+def option(usage: str, help: str, group: str | None = None, **settings: Any) -> Any:
+    """An option for `Annotated`, from its usage such as `--output -o FILE`: its names, and the word for its value; a flag has none.
+
+    `group` is its section in the help, by default `Options`.
+    """
     words = usage.split()
     metavar = None if words[-1].startswith("-") else words.pop()
-    return typer.Option(*words, metavar=metavar, help=help, **settings)
+    return typer.Option(*words, metavar=metavar, help=help, rich_help_panel=group, **settings)
 
 
-def integer(usage: str, help: str, minimum: int = 1, maximum: int | None = None) -> Any:
+def integer(usage: str, help: str, minimum: int = 1, maximum: int | None = None, group: str | None = None) -> Any:
     """An option that takes a whole number."""
-    return option(usage, help, parser=whole_number(minimum, maximum))
+    return option(usage, help, group, parser=whole_number(minimum, maximum))
 
 
 def start_values(given: Sequence[str] | None) -> dict[str, Any]:
@@ -155,23 +164,36 @@ def fraction(text: str) -> float:
 
 Scenario = Annotated[str, typer.Argument(metavar="SCENARIO", help="A scenario file, or the name of a scenario that comes with deepbots.")]
 Overrides = Annotated[
-    list[str] | None, option("--set PATH=VALUE", "Override a value of the scenario, such as fall_angle=10deg; may be repeated.")
+    list[str] | None,
+    option("--set PATH=VALUE", "Override a value of the scenario, such as fall_angle=10deg; may be repeated.", SCENARIO),
 ]
 AllowPaths = Annotated[
-    list[Path] | None, option("--allow-path DIR", "Allow reading files from this folder outside the project; may be repeated.")
+    list[Path] | None, option("--allow-path DIR", "Allow reading files from this folder outside the project; may be repeated.", ADVANCED)
 ]
 AllowCode = Annotated[
-    bool, option("--allow-code", "Allow reward terms and endings that are Python functions; use it only for packages that you trust.")
+    bool,
+    option("--allow-code", "Allow reward terms and endings that are Python functions; use it only for packages that you trust.", ADVANCED),
 ]
-Case = Annotated[str | None, option("--case NAME", "Apply the settings of this case of `evaluation.cases`.")]
-Stage = Annotated[str | None, option("--stage NAME", "Apply the settings of this stage of the curriculum.")]
-Force = Annotated[bool, option("--force", "Overwrite files that exist.")]
-Json = Annotated[bool, option("--json", "Print the result as JSON.")]
-Seed = Annotated[int, integer("--seed N", "Root seed of all random numbers.", 0, MAX_SEED)]
+Case = Annotated[str | None, option("--case NAME", "Apply the settings of this case of `evaluation.cases`.", SCENARIO)]
+Stage = Annotated[str | None, option("--stage NAME", "Apply the settings of this stage of the curriculum.", SCENARIO)]
+Force = Annotated[bool, option("--force", "Overwrite files that exist.", ADVANCED)]
+Json = Annotated[bool, option("--json", "Print the result as JSON.", OUTPUT)]
+Seed = Annotated[int, integer("--seed N", "Root seed of all random numbers.", 0, MAX_SEED, EPISODES)]
+Driver = Annotated[
+    str | None,
+    option(
+        "--driver NAME",
+        "Who acts: `policy` (of a run), a script of the scenario, `random`, `zero` (the middle of each range, the first option of each"
+        " choice), or actions to repeat, such as forward,backward. By default the policy, else the first script, else random actions.",
+        EPISODES,
+    ),
+]
 Start = Annotated[
     list[str] | None,
     option(
-        "--start NAME=VALUE", "Set a value that resets draw, by its name in `drawn` and in SI units, such as mark.x=0.5; may be repeated."
+        "--start NAME=VALUE",
+        "Set a value that resets draw, by its name in `drawn` and in SI units, such as mark.x=0.5; may be repeated.",
+        SCENARIO,
     ),
 ]
 Engine = Annotated[
@@ -179,6 +201,7 @@ Engine = Annotated[
     option(
         "--engine NAME",
         "Physics engine: pybullet, mujoco, or one of an installed package; by default `world.engine` of the scenario, else pybullet.",
+        SCENARIO,
         callback=known_engine,
     ),
 ]
@@ -189,6 +212,30 @@ Engine = Annotated[
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 
+class Command(TyperCommand):
+    """A command whose help has its options in groups, and which says what is written instead of the option of another name."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        known = {name for parameter in self.params for name in parameter.opts}
+        for word in args[: args.index("--")] if "--" in args else args:
+            name = word.partition("=")[0]
+            if name.startswith("--") and name in REPLACEMENTS and name not in known:
+                ctx.fail(f"there is no option {name}; use `{REPLACEMENTS[name]}`")
+        return super().parse_args(ctx, args)
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for parameter in self.get_params(ctx):
+            row = parameter.get_help_record(ctx)
+            is_argument = parameter.param_type_name == "argument"
+            group = "Arguments" if is_argument else getattr(parameter, "rich_help_panel", None) or "Options"
+            groups.setdefault(group, []).extend([row] if row is not None else [])
+        for group in sorted(groups, key=ADVANCED.__eq__):
+            if groups[group]:
+                with formatter.section(group):
+                    formatter.write_dl(groups[group])
+
+
 class Commands(TyperGroup):
     """The group of the commands; imports the module of a command when the command is called."""
 
@@ -197,17 +244,22 @@ class Commands(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         if cmd_name not in COMMANDS:
-            near = nearest_word(cmd_name, COMMANDS)
-            hint = f"did you mean '{near}'?" if near else f"the commands are: {', '.join(COMMANDS)}"
+            near = nearest_word(cmd_name, (*COMMANDS, *REPLACEMENTS)) or ""
+            other = f"the commands are: {', '.join(COMMANDS)}"
+            hint = f"use `{REPLACEMENTS[near]}`" if near in REPLACEMENTS else f"did you mean '{near}'?" if near else other
             ctx.fail(f"there is no command '{cmd_name}'; {hint}")
         module, _, function = COMMANDS[cmd_name][0].partition(".")
         app = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
-        app.command(cmd_name)(_with_permission_options(getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function)))
+        app.command(cmd_name, cls=Command)(
+            _with_permission_options(getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function))
+        )
         return typer.main.get_command(app)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
+        width = max(map(len, COMMANDS))
+        for group, commands in GROUPS.items():
+            with formatter.section(group):
+                formatter.write_dl([(name.ljust(width), summary) for name, (_, summary) in commands.items()])
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -266,14 +318,13 @@ def _deepbots(
 ) -> None:
     """Train robot policies from one YAML scenario and one URDF robot.
 
-    A scenario is the path of a file, or the name of a scenario that comes with deepbots.
+    The first three commands:
 
     \b
-      deepbots new mine --template wheeled      write a first scenario with comments
-      deepbots lint mine.yaml                   report every problem in it
-      deepbots run mine.yaml                    run random actions and show the reward terms
-      deepbots train mine.yaml                  train a policy and evaluate it
-      deepbots explain "reward shaping"         explain a term
+      deepbots new mine --template cartpole     write the scenario mine.yaml, with comments
+      deepbots try mine.yaml                    run three episodes with random actions
+      deepbots train mine.yaml                  train a policy, and evaluate it
 
-    `deepbots COMMAND --help` shows the options, defaults and examples of a command.
+    A scenario is the path of a file, or the name of a scenario that comes with deepbots: `deepbots train cartpole` needs no file.
+    `deepbots COMMAND --help` shows the options and examples of a command.
     """

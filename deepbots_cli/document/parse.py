@@ -106,7 +106,7 @@ class _Builder:
     def document(self) -> Node | None:
         next(self.events)  # the stream
         if isinstance(next(self.events), StreamEndEvent):
-            help = "start from a shipped scenario: deepbots copy cartpole"
+            help = "start from a shipped scenario: deepbots new mine --from cartpole"
             self.findings.add("DB107", Span(self.source, 0, 0), "the file is empty", help)
             return None
         root = self.node(next(self.events), 0)

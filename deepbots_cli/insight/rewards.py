@@ -189,7 +189,7 @@ def _rising_term(t: TrainingEvidence) -> tuple[str, float, float] | None:
 def silent_terms(t: TrainingEvidence) -> Numbers | None:
     """{count} of {of} reward terms are 0 in all {steps} steps of short episodes and in the logs: {names}.
 
-    Try: Check the condition of each such term: `deepbots run SCENARIO` shows the terms of an episode.
+    Try: Check the condition of each such term: `deepbots try SCENARIO` shows the terms of an episode.
     """
     names = [term.name for term in t.program.agent.reward]
     sums = {name: sum(float(np.abs(trace.terms[name]).sum()) for trace in t.probes) for name in names}

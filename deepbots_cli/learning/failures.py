@@ -199,7 +199,7 @@ def _failure_text(
         path = write_numbered(run.path / FAILURES_FOLDER, failure.model_dump_json() + "\n")
     except RunError:  # the run cannot be written to
         return text
-    return f"{text}\nreproduce it with: deepbots run {quote(str(path))}"
+    return f"{text}\nreproduce it with: deepbots try {quote(str(path))}"
 
 
 def is_finite(observation: Any) -> bool:

@@ -328,7 +328,7 @@ class Script:
 class FixedAction:
     """A constant action: the index of an option of each choice, and a number in [-1, 1] for each component of the ranges.
 
-    `text` is what `deepbots run --actions` takes.
+    `text` is what `deepbots try --driver` takes.
     """
 
     choices: tuple[int, ...]

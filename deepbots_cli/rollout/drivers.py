@@ -1,18 +1,21 @@
-"""Drivers that need no policy."""
+"""Drivers that need no policy: by the word that a person writes, or of given actions."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import UsageError
-from deepbots_cli.program.task import Choices
+from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.rollout.episode import Driver
 
 if TYPE_CHECKING:
     import gymnasium as gym
 
+    from deepbots_cli.program import Program
     from deepbots_cli.runtime import Supervisor
 
 RANDOM, ZERO, HAND, POLICY, RECORDED = "random", "zero", "you", "policy", "recording"
@@ -20,18 +23,33 @@ RANDOM, ZERO, HAND, POLICY, RECORDED = "random", "zero", "you", "policy", "recor
 
 
 def named_driver(world: gym.Env[Any, Any], name: str) -> Driver:
-    """`random`, `zero`, or a script of the scenario.
+    """`random`, `zero`, a script of the scenario, or actions such as `forward,backward`, which are repeated without end.
 
     Raises:
-        UsageError: There is no such script.
+        UsageError: It is none of these.
     """
     if name == RANDOM:
         return random_driver(world)
     if name == ZERO:
         return constant_driver(zero_action(world.action_space))
-    world.get_wrapper_attr("scenario").script(name)
-    act = partial(world.get_wrapper_attr("script"), name)
-    return Driver(lambda _: act())
+    program: Program = world.get_wrapper_attr("scenario")
+    scripts = [script.name for script in program.agent.scripts]
+    if name in scripts:
+        act = partial(world.get_wrapper_attr("script"), name)
+        return Driver(lambda _: act())
+    if name == POLICY:
+        raise UsageError("only a run has a policy; train one with `deepbots train`, and name the run instead of the scenario")
+    if name == HAND:
+        raise UsageError("you can drive in the browser only; use `deepbots play`")
+    options = [option.name for part in program.agent.choices for option in part.options]
+    if not name.isidentifier() or name in options:
+        return repeated_actions(world, name)
+    known = (*scripts, RANDOM, ZERO)
+    near = nearest_word(name, (*known, *options))
+    hint = f" (did you mean {near}?)" if near else ""
+    slots = [part.options if isinstance(part, Choices) else () for each in program.agent.action for part in _slots(each)]
+    example = ",".join(":".join(slot[at].name if slot else number for slot in slots) for at, number in ((0, "0.5"), (-1, "-0.5")))
+    raise UsageError(f"there is no driver '{name}'{hint}; the drivers are {', '.join(known)}, and actions such as {example}")
 
 
 def random_driver(world: gym.Env[Any, Any]) -> Driver:
@@ -59,6 +77,54 @@ def sequence_driver(actions: Iterable[Any]) -> Driver:
         raise UsageError("the episode goes on after the last action")
 
     return Driver(act)
+
+
+def repeated_actions(world: gym.Env[Any, Any], text: str) -> Driver:
+    """The actions in `text`, repeated without end. Commas separate actions, colons the parts of one action.
+
+    A part is the name or the index of an option, or a number from -1 to 1 for a range. All copies of a robot get the same action.
+
+    Raises:
+        UsageError: The scenario has no such action.
+    """
+    return sequence_driver(cycle([_read_action(world, word.strip()) for word in text.split(",")]))
+
+
+def _read_action(world: gym.Env[Any, Any], text: str) -> Any:
+    parts = [width for part in world.get_wrapper_attr("scenario").agent.action for width in _slots(part)]
+    words = text.split(":")
+    if len(words) != len(parts):
+        raise UsageError(
+            f"the action '{text}' has {len(words)} parts, and an action of the scenario has {len(parts)}; separate the parts by colons"
+        )
+    values = [_read_part(part, word.strip()) for part, word in zip(parts, words, strict=True)]
+    ranges = [value for part, value in zip(parts, values, strict=True) if isinstance(part, ActionRange)]
+    choices = [int(value) for part, value in zip(parts, values, strict=True) if isinstance(part, Choices)]
+    return world.get_wrapper_attr("make_action")(choices, ranges)
+
+
+def _slots(part: Choices | ActionRange) -> Sequence[Choices | ActionRange]:
+    """The part, repeated once per number that it takes in an action."""
+    return [part] * (max(1, len(part.components)) if isinstance(part, ActionRange) else 1)
+
+
+def _read_part(part: Choices | ActionRange, word: str) -> float:
+    if isinstance(part, Choices):
+        names = [option.name for option in part.options]
+        if word in names:
+            return names.index(word)
+        if word.isdecimal() and int(word) < len(names):
+            return int(word)
+        raise UsageError(f"'{part.name}' has no option '{word}'; its options are: {', '.join(names)}")
+    try:
+        value = float(word)
+    except ValueError:
+        value = float("nan")
+    if not -1 <= value <= 1:
+        order = f"; the order of its numbers is {':'.join(part.components)}" if len(part.components) > 1 else ""
+        meaning = f"they stand for {part.low:g} and {part.high:g} {part.unit}{order}"
+        raise UsageError(f"'{word}' is not a value of '{part.name}', which takes a number from -1 to 1; {meaning}")
+    return value
 
 
 def zero_action(space: gym.Space[Any]) -> Any:

@@ -164,4 +164,4 @@ def _hint(path: Path) -> str:
         return f"did you mean {near}?"
     names = shipped.scenario_names()
     near = nearest_word(path.stem, names)
-    return f"did you mean {near}? (`deepbots list` shows all)" if near else f"the shipped scenarios are: {', '.join(names)}"
+    return f"did you mean {near}? (`deepbots scenarios` shows all)" if near else f"the shipped scenarios are: {', '.join(names)}"

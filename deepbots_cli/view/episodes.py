@@ -135,7 +135,7 @@ class ShowingState:
         if self.recording is None:
             return Player(self, driver)
         if driver not in (None, RECORDED):
-            raise UsageError(f"a recording keeps its actions; leave out --script {driver}")
+            raise UsageError(f"a recording keeps its actions; leave out --driver {driver}")
         from deepbots_cli.view.replay import ReplayPlayer
 
         return ReplayPlayer(self)
@@ -315,11 +315,14 @@ class Player:
 
 
 def closing_player(shown: Showing, driver: str | None) -> closing[Player]:
-    """A player of what is shown, to be used in a `with` statement.
+    """A player of what is shown without a page, to be used in a `with` statement.
 
     Raises:
         ScenarioError: The scenario has errors.
+        UsageError: There is no such driver, or a person would have to act.
     """
+    if driver == HAND:
+        raise UsageError("you can drive in the browser only; use `deepbots play`")
     return closing(shown.open().player(driver))
 
 

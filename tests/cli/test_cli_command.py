@@ -15,7 +15,7 @@ import pytest
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli.command import Commands
-from deepbots_cli.cli.commands import COMMANDS, installation
+from deepbots_cli.cli.commands import COMMANDS, GROUPS, REPLACEMENTS, installation
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import install_hint
 from deepbots_cli.processes import python_command, python_environment
@@ -107,6 +107,23 @@ def test_the_version_is_that_of_the_package(deepbots):
     assert deepbots("--version").out == f"deepbots {deepbots_cli.__version__}\n"
 
 
+def test_the_overview_has_at_most_28_commands_in_groups_and_begins_with_three(deepbots):
+    shown = deepbots("--help").out
+    assert len(COMMANDS) <= 30
+    assert [line[:-1] for line in shown.splitlines() if line in {f"{group}:" for group in GROUPS}] == list(GROUPS)
+    assert len([line for line in shown.splitlines() if line.startswith("    deepbots ")]) == 3
+
+
+@pytest.mark.parametrize(("old", "new"), REPLACEMENTS.items())
+def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, new):
+    words = ("try", "cartpole", old, "x") if old.startswith("--") else (old, "cartpole")
+    ran = deepbots(*words)
+    assert (ran.code, ran.out) == (2, "")
+    assert f"use `{new}`" in ran.err
+    meant = new.split()[1] if new.startswith("deepbots ") else new.split()[0]
+    assert meant in COMMANDS or any(meant in parameter.opts for verb in COMMANDS for parameter in Commands().get_command(None, verb).params)
+
+
 def test_a_misspelt_verb_is_wrong_usage_and_the_right_one_is_suggested(deepbots):
     ran = deepbots("trian")
     assert (ran.code, ran.out) == (2, "")
@@ -114,7 +131,7 @@ def test_a_misspelt_verb_is_wrong_usage_and_the_right_one_is_suggested(deepbots)
 
 
 @pytest.mark.parametrize(
-    "words", [["lint"], ["train", "--seed", "x", "cartpole"], ["run", "cartpole", "--engine", "nosuch"], ["eval"], ["--nosuch"]]
+    "words", [["lint"], ["train", "--seed", "x", "cartpole"], ["try", "cartpole", "--engine", "nosuch"], ["eval"], ["--nosuch"]]
 )
 def test_wrong_usage_ends_with_2_and_no_traceback(deepbots, words):
     ran = deepbots(*words)
@@ -123,7 +140,7 @@ def test_wrong_usage_ends_with_2_and_no_traceback(deepbots, words):
     assert ran.err
 
 
-@pytest.mark.parametrize("verb", ["lint", "compile", "inspect", "run", "train", "bench"])
+@pytest.mark.parametrize("verb", ["lint", "compile", "inspect", "try", "train", "bench"])
 def test_a_missing_scenario_is_one_line_that_lists_the_shipped_ones(deepbots, verb):
     ran = deepbots(verb, "nowhere.yaml")
     assert (ran.code, ran.out) == (2, "")
@@ -132,7 +149,7 @@ def test_a_missing_scenario_is_one_line_that_lists_the_shipped_ones(deepbots, ve
     assert ran.err.count("\n") == 1
 
 
-@pytest.mark.parametrize("verb", ["compile", "inspect", "run", "train", "bench"])
+@pytest.mark.parametrize("verb", ["compile", "inspect", "try", "train", "bench"])
 def test_a_scenario_with_errors_is_shown_in_full_by_every_verb(deepbots, verb):
     ran = deepbots(verb, "cartpole", "--set", "world.timestep=fast")
     assert (ran.code, ran.out) == (1, "")
@@ -169,7 +186,7 @@ def test_the_doctor_does_not_say_that_everything_works_where_an_extra_is_missing
     assert (ran.code, ran.err) == (0, f"{said}\n")
 
 
-@pytest.mark.parametrize("words", [["run", "cartpole"], ["train", "cartpole"], ["bench", "cartpole"], ["eval", "run"]])
+@pytest.mark.parametrize("words", [["try", "cartpole"], ["train", "cartpole"], ["bench", "cartpole"], ["eval", "run"]])
 def test_a_seed_that_no_record_could_hold_is_refused_and_does_not_fill_the_help(deepbots, words):
     ran = deepbots(*words, "--seed", 10**20)
     assert (ran.code, ran.out) == (2, "")
@@ -182,7 +199,10 @@ def test_a_seed_that_no_record_could_hold_is_refused_and_does_not_fill_the_help(
     [
         (["train", "cartpole", "--seeds", "4..0"], "'4..0' ends before it begins; write 0..4"),
         (["train", "cartpole", "--seeds", "0..5000"], "'0..5000' has 5,001 seeds; the limit is 1,000"),
-        (["run", "cartpole", "--policy", "best"], "Invalid value for '--policy': 'best' is not one of 'random', 'zero'."),
+        (
+            ["try", "cartpole", "--driver", "best"],
+            "there is no driver 'best'; the drivers are random, zero, and actions such as forward,backward",
+        ),
         (["inspect", "cartpole", "--set", "fall_angel=10deg"], " --> --set fall_angel=10deg\n"),
     ],
 )
@@ -246,7 +266,7 @@ def test_linting_imports_neither_simulator_nor_learner():
 
 @pytest.mark.parametrize(
     ("words", "absent", "extra"),
-    [("run cartpole", "gymnasium", "sim"), ("bench cartpole", "msgspec", "sim"), ("train cartpole", "torch", "train")],
+    [("try cartpole", "gymnasium", "sim"), ("bench cartpole", "msgspec", "sim"), ("train cartpole", "torch", "train")],
 )
 def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(words, absent, extra):
     code = f"import sys; sys.modules['{absent}'] = None; from deepbots_cli.cli import main; sys.exit(main({words.split()}))"
@@ -262,10 +282,10 @@ def test_what_runs_nothing_needs_no_extra(tmp_path):
         "lint cartpole",
         "compile cartpole",
         "inspect cartpole",
-        "list",
+        "scenarios",
         "schema --for cartpole",
-        "copy cartpole there",
-        "eject cartpole here",
+        "new cartpole there --from cartpole",
+        "compile cartpole --project here",
     ]
     block = "".join(f"sys.modules['{name}'] = None; " for name in EXTRA)
     code = f"import sys; {block}from deepbots_cli.cli import main; print([main(line.split()) for line in {lines}], file=sys.stderr)"
@@ -289,8 +309,8 @@ def test_scenarios_and_runs_are_listed_even_damaged_ones(deepbots, tmp_path):
     (tmp_path / "runs" / "broken").mkdir(parents=True)
     (tmp_path / "runs" / "broken" / "run.json").write_text("{")
     (tmp_path / "runs" / "no_run").mkdir()
-    assert "cartpole" in [row["name"] for row in json.loads(deepbots("list", "--json").out)["scenarios"]]
-    assert "free pole" in deepbots("list").out
+    assert "cartpole" in [row["name"] for row in json.loads(deepbots("scenarios", "--json").out)["scenarios"]]
+    assert "free pole" in deepbots("scenarios").out
     assert [(row["name"], row["state"]) for row in json.loads(deepbots("runs", "--json").out)] == [("broken", "unreadable")]
     shown = deepbots("runs")
     assert "broken: runs/broken/run.json is damaged: it is not valid JSON" in shown.err
@@ -326,7 +346,7 @@ def _in_shell(line: str) -> str:
 
 @pytest.mark.skipif(os.name != "posix", reason="a shell's pipes")
 @pytest.mark.parametrize(
-    "verb", few(["inspect cartpole", "compile cartpole --program", "lint cartpole", "list", "--help"], ("list", "--help"))
+    "verb", few(["inspect cartpole", "compile cartpole --program", "lint cartpole", "list", "--help"], ("scenarios", "--help"))
 )
 def test_the_exit_code_is_the_same_when_nobody_reads_the_output(verb):
     told = _in_shell(f"deepbots {verb} 2>&1 | true; echo ${{PIPESTATUS[0]}}")
@@ -342,7 +362,7 @@ def test_findings_count_when_nobody_reads_them(tmp_path):
 @pytest.mark.skipif(os.name != "posix", reason="a shell's redirections")
 @pytest.mark.parametrize("closed", [">&-", "2>&- >/dev/null", ">&- 2>&-"])
 def test_streams_that_were_closed_from_the_start_are_no_failure(closed):
-    assert _in_shell(f"(deepbots list {closed}; echo $? >&9) 9>&1") == "0\n"
+    assert _in_shell(f"(deepbots scenarios {closed}; echo $? >&9) 9>&1") == "0\n"
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
@@ -354,7 +374,7 @@ def test_a_full_disk_is_one_clear_line(verb):
 
 
 def test_compile_does_not_write_over_the_scenario(deepbots, tmp_path):
-    deepbots("copy", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole")
     before = (tmp_path / "cartpole.yaml").read_bytes()
     ran = deepbots("compile", "cartpole.yaml", "-o", "cartpole.yaml")
     assert (ran.code, ran.out) == (2, "")

@@ -1,4 +1,4 @@
-"""`deepbots copy` and `deepbots eject`: what they write, and what they leave alone."""
+"""`deepbots new --from` and `deepbots compile --project`: what they write, and what they leave alone."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.few import few
 
 @pytest.mark.parametrize("name", few(shipped.scenario_names()))
 def test_a_copy_of_any_shipped_scenario_means_the_same_from_any_folder(deepbots, tmp_path, name):
-    ran = deepbots("copy", name, "a/b")
+    ran = deepbots("new", name, "a/b", "--from", name)
     assert ran.code == 0
     copied = api.compile(tmp_path / "a" / "b" / f"{name}.yaml")
     assert copied.digest == api.compile(name).digest
@@ -24,7 +24,7 @@ def test_a_copy_of_any_shipped_scenario_means_the_same_from_any_folder(deepbots,
 
 
 def test_a_copy_keeps_comments_and_reads_its_own_robot(deepbots, tmp_path):
-    deepbots("copy", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole")
     before, after = shipped.scenario_path("cartpole").read_text(encoding="utf-8"), (tmp_path / "cartpole.yaml").read_text(encoding="utf-8")
     changed = [line for line in after.splitlines() if line not in before.splitlines()]
     assert len(changed) == 1
@@ -34,8 +34,20 @@ def test_a_copy_keeps_comments_and_reads_its_own_robot(deepbots, tmp_path):
     assert deepbots("lint", "cartpole.yaml").code == 1
 
 
+def test_a_copy_of_another_name_is_that_scenario_under_the_name(deepbots, tmp_path):
+    assert deepbots("new", "my_cart", "--from", "cartpole_continuous").out.split()[:2] == ["my_cart.yaml", "cartpole.yaml"]
+    assert (tmp_path / "my_cart.yaml").read_text(encoding="utf-8").startswith("deepbots: 1\nextends: cartpole.yaml\nname: MyCart\n")
+    assert deepbots("diff", "my_cart.yaml", "cartpole_continuous").code == 0
+
+
+def test_a_copy_is_not_called_as_a_scenario_that_it_reads(deepbots, tmp_path):
+    ran = deepbots("new", "cartpole", "--from", "cartpole_continuous")
+    assert (ran.code, ran.err) == (2, "error: 'cartpole' is the name of a file that cartpole_continuous reads; choose another name\n")
+    assert not any(tmp_path.iterdir())
+
+
 def test_a_copy_says_what_to_do_next(deepbots):
-    ran = deepbots("copy", "cartpole")
+    ran = deepbots("new", "cartpole", "--from", "cartpole")
     assert ran.out.split() == ["cartpole.yaml", "robots/urdf/cartpole.urdf"]
     assert "deepbots lint cartpole.yaml" in ran.err
     assert "deepbots train cartpole.yaml" in ran.err
@@ -43,7 +55,7 @@ def test_a_copy_says_what_to_do_next(deepbots):
 
 def test_nothing_is_overwritten_and_nothing_half_written(deepbots, tmp_path):
     (tmp_path / "cartpole.yaml").write_text("mine\n")
-    ran = deepbots("copy", "cartpole")
+    ran = deepbots("new", "cartpole", "--from", "cartpole")
     assert ran.code == 2
     assert "cartpole.yaml" in ran.err
     assert (tmp_path / "cartpole.yaml").read_text() == "mine\n"
@@ -51,15 +63,15 @@ def test_nothing_is_overwritten_and_nothing_half_written(deepbots, tmp_path):
 
 
 def test_a_second_copy_changes_nothing(deepbots, tmp_path):
-    deepbots("copy", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole")
     stamp = (tmp_path / "cartpole.yaml").stat().st_mtime_ns
-    assert deepbots("copy", "cartpole").code == 0
+    assert deepbots("new", "cartpole", "--from", "cartpole").code == 0
     assert (tmp_path / "cartpole.yaml").stat().st_mtime_ns == stamp
 
 
 @pytest.mark.parametrize("name", ["cartpol", "../cartpole", "", "cartpole.yaml", "/etc/passwd", "x" * 500])
 def test_only_shipped_scenarios_are_copied(deepbots, tmp_path, name):
-    ran = deepbots("copy", name)
+    ran = deepbots("new", "mine", "--from", name)
     assert ran.code == 2
     assert "cartpole" in ran.err
     assert not any(tmp_path.iterdir())
@@ -67,7 +79,7 @@ def test_only_shipped_scenarios_are_copied(deepbots, tmp_path, name):
 
 def test_a_file_in_place_of_the_folder_is_one_line(deepbots, tmp_path):
     (tmp_path / "taken").write_text("")
-    ran = deepbots("copy", "cartpole", "taken")
+    ran = deepbots("new", "cartpole", "taken", "--from", "cartpole")
     assert ran.code == 2
     assert ran.err.startswith("error: ")
     assert "Traceback" not in ran.err
@@ -84,7 +96,7 @@ def test_what_a_scenario_extends_and_includes_comes_along(tmp_path, monkeypatch)
     (data / "robots" / "urdf" / "arm.urdf").write_text("<robot name='arm'><link name='base'/></robot>")
     (data / "robots" / "meshes" / "a b.stl").write_text("solid a\nendsolid a\n")
     monkeypatch.setattr(shipped, "data_dir", lambda: data)
-    files = {str(path): content.decode() for path, content in new.shipped_files("top").items()}
+    files = {str(path): content.decode() for path, content in new.from_shipped("top", "top").items()}
     assert next(iter(files)) == "top.yaml"
     assert set(files) == {"top.yaml", "more/base.yaml", "robots/arm.yaml", "robots/urdf/arm.urdf", "robots/meshes/a b.stl"}
     assert files["top.yaml"] == text.replace("../robots", "robots")
@@ -92,8 +104,8 @@ def test_what_a_scenario_extends_and_includes_comes_along(tmp_path, monkeypatch)
     assert files["robots/arm.yaml"] == "urdf: urdf/arm.urdf\n"
 
 
-def test_an_ejected_project_runs_on_its_own(deepbots, tmp_path):
-    ran = deepbots("eject", "cartpole", "mine", "--set", "truncation.max_steps=7")
+def test_a_compiled_project_runs_on_its_own(deepbots, tmp_path):
+    ran = deepbots("compile", "cartpole", "--project", "mine", "--set", "truncation.max_steps=7")
     project = tmp_path / "mine"
     assert ran.code == 0
     assert "python run.py" in ran.err
@@ -105,8 +117,8 @@ def test_an_ejected_project_runs_on_its_own(deepbots, tmp_path):
     assert "7 steps" in done.stdout
 
 
-def test_what_is_edited_in_an_ejected_project_is_what_runs(deepbots, tmp_path):
-    deepbots("eject", "cartpole", "mine")
+def test_what_is_edited_in_a_compiled_project_is_what_runs(deepbots, tmp_path):
+    deepbots("compile", "cartpole", "--project", "mine")
     code = tmp_path / "mine" / "environment.py"
     text = code.read_text()
     assert "self.term_alive = 1.0" in text
@@ -119,13 +131,13 @@ def test_what_is_edited_in_an_ejected_project_is_what_runs(deepbots, tmp_path):
 def test_a_project_is_never_written_over_anything(deepbots, tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("mine\n")
-    ran = deepbots("eject", "cartpole", "mine", "--json")
+    ran = deepbots("compile", "cartpole", "--project", "mine", "--json")
     assert (ran.code, ran.out) == (2, "")
     assert "mine is not empty; choose another folder, or replace files of the same name with --force" in ran.err
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["notes.txt"]
 
 
 def test_programs_get_the_list_of_files(deepbots):
-    copied = json.loads(deepbots("copy", "cartpole", "--json").out)
+    copied = json.loads(deepbots("new", "cartpole", "--json", "--from", "cartpole").out)
     assert copied == {"scenario": "cartpole.yaml", "files": ["cartpole.yaml", "robots/urdf/cartpole.urdf"]}
-    assert "mine/README.md" in json.loads(deepbots("eject", "cartpole", "mine", "--json").out)["files"]
+    assert "mine/README.md" in json.loads(deepbots("compile", "cartpole", "--project", "mine", "--json").out)["files"]

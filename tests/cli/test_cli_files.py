@@ -79,8 +79,8 @@ WRITING = {
     "eval, video": ("eval", "run", "--video", "mine.mp4"),
     "new": ("new", "mine", "--template", "pit"),
     "new, schema": ("new", "mine", "--template", "pit", "--schema"),
-    "copy": ("copy", "cartpole", "."),
-    "eject": ("eject", "cartpole", "mine"),
+    "new, copy": ("new", "mine", "--from", "cartpole"),
+    "compile, project": ("compile", "cartpole", "--project", "mine"),
     "export": ("export", "run", "-o", "mine"),
 }
 PRESENT = ("mine.json", "mine.py", "mine.html", "mine.png", "mine.gif", "mine.mcap", "mine.xml", "mine.csv", "mine.mp4", "mine.yaml")
@@ -113,7 +113,7 @@ def test_with_force_commands_overwrite(deepbots, tmp_path):
         written = {"schema": "mine.json", "compile": "mine.py", "new": "mine.yaml"}[words[0]]
         assert (tmp_path / written).read_text() != "of the user"
     assert "of the user" not in (tmp_path / "mine.schema.json").read_text()
-    assert deepbots("eject", "cartpole", ".", "--force").code == 0
+    assert deepbots("compile", "cartpole", "--project", ".", "--force").code == 0
 
 
 def test_every_command_that_writes_a_file_has_force(deepbots):

@@ -23,15 +23,15 @@ def test_what_a_template_makes_is_clean_runs_and_says_what_to_do_next(deepbots, 
     made = deepbots("new", "my_first", "--template", template)
     assert made.code == 0, made.err
     assert made.out.split()[0] == "my_first.yaml"
-    assert all(f"deepbots {verb} my_first.yaml" in made.err for verb in ("run", "lint", "inspect", "train"))
+    assert all(f"deepbots {verb} my_first.yaml" in made.err for verb in ("try", "lint", "inspect", "train"))
     assert api.lint(tmp_path / "my_first.yaml", preview=True) == []
     compiled = api.compile(tmp_path / "my_first.yaml")
     assert compiled.program.name == "MyFirst"
     assert compiled.program.agent.training is not None
-    ran = deepbots("run", "my_first.yaml", "--episodes", "2")
+    ran = deepbots("try", "my_first.yaml", "--episodes", "2")
     assert ran.code == 0, ran.err
     for script in compiled.program.agent.scripts:
-        assert deepbots("run", "my_first.yaml", "--script", script.name, "--episodes", "1").code == 0
+        assert deepbots("try", "my_first.yaml", "--driver", script.name, "--episodes", "1").code == 0
 
 
 @pytest.mark.parametrize("template", [*Template])
@@ -49,7 +49,7 @@ def test_the_help_lists_every_template():
 
 def test_the_script_of_the_wheeled_template_finds_its_ball(deepbots):
     deepbots("new", "rolling", "--template", "wheeled")
-    ran = deepbots("run", "rolling.yaml", "--script", "towards", "--episodes", "5", "--json")
+    ran = deepbots("try", "rolling.yaml", "--driver", "towards", "--episodes", "5", "--json")
     assert json.loads(ran.out)["summary"]["success_rate"] == 1.0
 
 
@@ -130,7 +130,7 @@ def test_a_scenario_for_a_robot_file_is_clean_suits_the_robot_and_runs(deepbots,
     scenario = api.compile(tmp_path / "first.yaml").program
     assert ROBOTS[robot] in scenario.summary
     assert scenario.world.robots[0].fixed_base is (ROBOTS[robot] in ("arm", "posture") or robot.endswith(("rail", "data/cartpole.urdf")))
-    ran = deepbots("run", "first.yaml", "--episodes", "2", "--steps", "100")
+    ran = deepbots("try", "first.yaml", "--episodes", "2", "--steps", "100")
     assert ran.code == 0, ran.err
 
 
@@ -150,7 +150,7 @@ def test_every_shipped_robot_is_among_those_that_are_tried():
 @pytest.mark.parametrize("robot", ["rover", "package://pybullet_data/husky/husky.urdf"])
 def test_wheels_of_a_robot_file_turn_the_way_that_the_scenario_says(deepbots, robot):
     deepbots("new", "rolling", "--urdf", robot)
-    ran = deepbots("run", "rolling.yaml", "--script", "towards", "--episodes", "3", "--json")
+    ran = deepbots("try", "rolling.yaml", "--driver", "towards", "--episodes", "3", "--json")
     assert json.loads(ran.out)["summary"]["success_rate"] == 1.0
 
 

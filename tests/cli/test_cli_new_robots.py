@@ -190,7 +190,7 @@ def test_a_robot_with_an_odd_file_gets_a_scenario_that_simulates_a_hundred_steps
     made = deepbots("new", "first", "--urdf", f"package://pybullet_data/{name}.urdf")
     assert made.code == 0, made.err
     assert deepbots("lint", "first.yaml").out == "first.yaml: no findings\n"
-    ran = deepbots("run", "first.yaml", "--steps", "100")
+    ran = deepbots("try", "first.yaml", "--steps", "100")
     assert (ran.code, ran.err) == (0, "")
     assert "term" in ran.out
 
@@ -202,7 +202,7 @@ def test_the_script_of_a_steered_robot_reaches_marks_behind_it(deepbots):
     """It failed in the third of these episodes."""
     pytest.importorskip("pybullet_data")
     assert deepbots(*RACECAR).code == 0
-    ran = deepbots("run", "car.yaml", "--script", "towards", "--episodes", "3", "--engine", "mujoco", "--json")
+    ran = deepbots("try", "car.yaml", "--driver", "towards", "--episodes", "3", "--engine", "mujoco", "--json")
     assert json.loads(ran.out)["summary"]["successes"] == 3
 
 
@@ -211,5 +211,5 @@ def test_the_script_of_a_steered_robot_reaches_marks_behind_it(deepbots):
 def test_the_script_of_a_steered_robot_reaches_its_mark_from_fifty_starts(deepbots, engine):
     pytest.importorskip("pybullet_data")
     assert deepbots(*RACECAR).code == 0
-    ran = deepbots("run", "car.yaml", "--script", "towards", "--episodes", "50", "--engine", engine, "--json")
+    ran = deepbots("try", "car.yaml", "--driver", "towards", "--episodes", "50", "--engine", engine, "--json")
     assert json.loads(ran.out)["summary"]["successes"] == 50

@@ -24,7 +24,7 @@ def test_for_a_scenario_it_has_its_names(deepbots):
 
 
 def test_the_comment_that_leads_an_editor_to_it_is_told(deepbots):
-    deepbots("copy", "cartpole", "worlds")
+    deepbots("new", "cartpole", "worlds", "--from", "cartpole")
     Path("schemas").mkdir()
     ran = deepbots("schema", "--for", "worlds/cartpole.yaml", "-o", "schemas/mine.json")
     assert (ran.code, ran.out) == (0, "")
@@ -55,7 +55,7 @@ def test_the_scenario_itself_is_not_written_over(deepbots, content):
 
 
 def test_the_robot_file_is_not_written_over(deepbots):
-    deepbots("copy", "cartpole", ".")
+    deepbots("new", "cartpole", ".", "--from", "cartpole")
     before = Path("robots/urdf/cartpole.urdf").read_bytes()
     ran = deepbots("schema", "--for", "cartpole.yaml", "-o", "robots/urdf/cartpole.urdf")
     assert ran.code == 2
@@ -70,7 +70,7 @@ def test_a_scenario_that_there_is_not_is_wrong_usage(deepbots):
 
 def test_a_scenario_file_without_its_ending_is_suggested(deepbots):
     Path("park.yaml").write_text("deepbots: 1\n")
-    for verb in ("run", "lint", "schema --for"):
+    for verb in ("try", "lint", "schema --for"):
         assert "; did you mean park.yaml?" in deepbots(*verb.split(), "park").err
 
 

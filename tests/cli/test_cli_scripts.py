@@ -1,4 +1,4 @@
-"""`run --script`, and what `run` says of many episodes."""
+"""`try --driver`, and what `try` says of many episodes."""
 
 from __future__ import annotations
 
@@ -35,56 +35,60 @@ def scripted(tmp_path):
 
 
 def ran(deepbots, *words):
-    result = deepbots("run", *words, "--json")
+    result = deepbots("try", *words, "--json")
     assert result.code == 0, result.err
     return json.loads(result.out)
 
 
 def test_a_script_drives_every_episode(deepbots, scripted):
-    onward = ran(deepbots, scripted, "--script", "onward")
-    assert onward["script"] == "onward"
-    assert onward["episodes"] == ran(deepbots, scripted, "--actions", "forward")["episodes"]
-    assert onward["episodes"] != ran(deepbots, scripted, "--script", "catch")["episodes"]
+    onward = ran(deepbots, scripted, "--driver", "onward")
+    assert onward["driver"] == "onward"
+    assert onward["episodes"] == ran(deepbots, scripted, "--driver", "forward")["episodes"]
+    assert onward["episodes"] != ran(deepbots, scripted, "--driver", "catch")["episodes"]
 
 
 def test_a_script_may_be_another_in_a_case(deepbots, scripted):
     words = (scripted, "--case", "back")
-    assert ran(deepbots, *words, "--script", "onward")["episodes"] == ran(deepbots, *words, "--actions", "backward")["episodes"]
+    assert ran(deepbots, *words, "--driver", "onward")["episodes"] == ran(deepbots, *words, "--driver", "backward")["episodes"]
+
+
+KNOWN = "the drivers are onward, catch, random, zero, and actions such as forward,backward\n"
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("name", "said"),
     [
-        (("--script", "cach"), "error: Scripted has no script 'cach' (did you mean catch?); there are: onward, catch\n"),
-        (("--script", "catch", "--policy", "zero"), "error: --policy and --script exclude each other\n"),
-        (("--script", "catch", "--actions", "forward"), "error: --actions and --script exclude each other\n"),
-        (("--policy", "zero", "--actions", "forward"), "error: --policy and --actions exclude each other\n"),
+        ("cach", f"error: there is no driver 'cach' (did you mean catch?); {KNOWN}"),
+        ("best", f"error: there is no driver 'best'; {KNOWN}"),
+        ("foward,backward", "error: 'drive' has no option 'foward'; its options are: forward, backward\n"),
+        ("policy", "error: only a run has a policy; train one with `deepbots train`, and name the run instead of the scenario\n"),
+        ("you", "error: you can drive in the browser only; use `deepbots play`\n"),
     ],
 )
-def test_what_cannot_be_followed_is_said_with_what_can(deepbots, scripted, words, said):
-    result = deepbots("run", scripted, *words)
+def test_a_driver_that_cannot_act_is_refused_with_those_that_can(deepbots, scripted, name, said):
+    result = deepbots("try", scripted, "--driver", name)
     assert result.code == 2
     assert result.err.endswith(said)
     assert result.out == ""
 
 
 def test_a_scenario_without_scripts_says_so(deepbots):
-    result = deepbots("run", "cartpole", "--script", "catch")
+    result = deepbots("try", "cartpole", "--driver", "catch")
     assert result.code == 2
-    assert result.err == "error: CartPole has no scripts, so there is no 'catch'\n"
+    assert result.err == "error: there is no driver 'catch'; the drivers are random, zero, and actions such as forward,backward\n"
 
 
 def test_few_episodes_are_shown_one_by_one_and_summed_up(deepbots, scripted):
-    result = deepbots("run", scripted, "--script", "onward", "--episodes", "20")
+    result = deepbots("try", scripted, "--driver", "onward", "--episodes", "20")
     assert "summary of 20 episodes" in result.out
     assert "\n       19 " in result.out
     assert "more" not in result.out
     assert result.err == ""
-    assert "summary" not in deepbots("run", scripted, "--episodes", "1").out
+    assert "summary" not in deepbots("try", scripted, "--episodes", "1").out
 
 
 def test_of_many_episodes_the_first_are_shown_and_all_are_counted(deepbots, scripted):
-    words = ("run", scripted, "--script", "onward", "--episodes", "21")
+    words = ("try", scripted, "--driver", "onward", "--episodes", "21")
     shown = deepbots(*words)
     assert "\n        4 " in shown.out
     assert "\n        5 " not in shown.out
@@ -95,7 +99,7 @@ def test_of_many_episodes_the_first_are_shown_and_all_are_counted(deepbots, scri
 
 
 def test_the_summary_is_that_of_the_episodes_with_intervals(deepbots, scripted):
-    data = ran(deepbots, scripted, "--policy", "random", "--episodes", "8")
+    data = ran(deepbots, scripted, "--driver", "random", "--episodes", "8")
     summary, returns = data["summary"], [episode["return"] for episode in data["episodes"]]
     successes = sum(episode["success"] for episode in data["episodes"])
     assert summary["success_defined"] is True
@@ -109,12 +113,12 @@ def test_the_summary_is_that_of_the_episodes_with_intervals(deepbots, scripted):
 
 
 def test_a_success_that_the_scenario_does_not_know_is_not_counted(deepbots):
-    assert "success rate" not in deepbots("run", "cartpole", "--episodes", "2").out
+    assert "success rate" not in deepbots("try", "cartpole", "--episodes", "2").out
     assert ran(deepbots, "cartpole", "--episodes", "2")["summary"]["success_defined"] is False
 
 
 def test_a_limit_of_steps_holds_for_all_episodes_of_a_script(deepbots, scripted):
-    data = ran(deepbots, scripted, "--script", "catch", "--episodes", "50", "--steps", "30")
+    data = ran(deepbots, scripted, "--driver", "catch", "--episodes", "50", "--steps", "30")
     assert sum(episode["length"] for episode in data["episodes"]) == 30
     assert data["episodes"][-1]["ended_by"] == "--steps"
 
@@ -171,7 +175,7 @@ def test_elsewhere_there_is_a_line_for_every_tenth():
 
 
 def test_a_start_is_set_on_the_command_line(deepbots, scripted):
-    words = (scripted, "--script", "onward", "--episodes", "2")
+    words = (scripted, "--driver", "onward", "--episodes", "2")
     upright = ran(deepbots, *words, "--start", "reset.joints.cart.pole_hinge=0.01")
     assert upright["start"] == {"reset.joints.cart.pole_hinge": 0.01}
     first, second = upright["episodes"]
@@ -189,7 +193,7 @@ def test_a_start_is_set_on_the_command_line(deepbots, scripted):
     ],
 )
 def test_a_start_that_no_episode_has_ends_in_one_line(deepbots, scripted, start, said):
-    result = deepbots("run", scripted, "--start", start)
+    result = deepbots("try", scripted, "--start", start)
     assert result.code == 2
     assert said in result.err
     assert len(result.err.strip().splitlines()) == 1

@@ -151,7 +151,7 @@ def test_compile_prints_what_runs(deepbots, tmp_path):
 
 
 def test_run_shows_returns_endings_and_terms(deepbots):
-    ran = deepbots("run", "cartpole", "--episodes", "2")
+    ran = deepbots("try", "cartpole", "--episodes", "2")
     assert ran.code == 0
     assert "fallen" in ran.out
     assert "alive" in ran.out
@@ -160,11 +160,11 @@ def test_run_shows_returns_endings_and_terms(deepbots):
 
 def test_the_start_of_an_episode_of_run_can_be_given_back(deepbots):
     words = [
-        "run",
+        "try",
         "cartpole",
         "--set",
         "reset.joints.cart.pole_hinge=uniform(-3 .. 3 deg)",
-        "--policy",
+        "--driver",
         "zero",
         "--episodes",
         "2",
@@ -177,44 +177,43 @@ def test_the_start_of_an_episode_of_run_can_be_given_back(deepbots):
 
 
 def test_the_same_seed_runs_the_same_episodes(deepbots):
-    first, again, other = (deepbots("run", "cartpole", "--seed", seed, "--json").out for seed in (3, 3, 4))
+    first, again, other = (deepbots("try", "cartpole", "--seed", seed, "--json").out for seed in (3, 3, 4))
     assert first == again != other
     episode = json.loads(first)["episodes"][0]
     assert episode["return"] == episode["length"] == episode["reward_terms"]["alive"]
 
 
 def test_copies_of_a_robot_all_take_the_actions_of_the_command_line(deepbots):
-    ran = deepbots("run", str(TEAM), "--actions", "forward,backward", "--engine", "exact", "--episodes", "1")
+    ran = deepbots("try", str(TEAM), "--driver", "forward,backward", "--engine", "exact", "--episodes", "1")
     assert ran.code == 0, ran.err
 
 
 def test_actions_go_by_name_or_number(deepbots):
-    named = deepbots("run", "cartpole", "--actions", "forward, backward", "--json").out
-    assert named == deepbots("run", "cartpole", "--actions", "0,1", "--json").out
-    assert named != deepbots("run", "cartpole", "--actions", "0", "--json").out
+    named, numbered, other = (
+        json.loads(deepbots("try", "cartpole", "--driver", actions, "--json").out)["episodes"]
+        for actions in ("forward, backward", "0,1", "0")
+    )
+    assert named == numbered
+    assert named != other
 
 
 @pytest.mark.parametrize("actions", ["left", "2", "-1", "", "forward:forward", "forward,,", "0.5"])
 def test_what_is_no_action_is_named_with_what_would_be(deepbots, actions):
-    ran = deepbots("run", "cartpole", f"--actions={actions}")
+    ran = deepbots("try", "cartpole", f"--driver={actions}")
     assert ran.code == 2
     assert ran.err.startswith("error: ")
 
 
 def test_a_limit_of_steps_cuts_the_episode_and_says_so(deepbots):
-    episodes = json.loads(deepbots("run", "cartpole", "--steps", "5", "--json").out)["episodes"]
+    episodes = json.loads(deepbots("try", "cartpole", "--steps", "5", "--json").out)["episodes"]
     assert [(row["length"], row["ended_by"]) for row in episodes] == [(5, "--steps")]
-
-
-def test_two_policies_at_once_are_wrong_usage(deepbots):
-    assert deepbots("run", "cartpole", "--policy", "zero", "--actions", "forward").code == 2
 
 
 def test_ranges_are_acted_on_by_numbers_from_minus_one_to_one(deepbots):
     continuous = ["--set", "action.drive=-1 .. 1", "--steps", "3"]
-    assert deepbots("run", "cartpole", "--actions=0.5,-1", *continuous).code == 0
-    assert deepbots("run", "cartpole", "--policy", "zero", *continuous).code == 0
-    ran = deepbots("run", "cartpole", "--actions", "1.5", *continuous)
+    assert deepbots("try", "cartpole", "--driver=0.5,-1", *continuous).code == 0
+    assert deepbots("try", "cartpole", "--driver", "zero", *continuous).code == 0
+    ran = deepbots("try", "cartpole", "--driver", "1.5", *continuous)
     assert ran.code == 2
     assert "-1 to 1" in ran.err
 
@@ -255,7 +254,7 @@ observation: {was: -1 .. 1 m, before: -1 .. 1 m, gone: -1 .. 1 m}
 robots: {cart: {sensors: {pole_angle: {latency: 40 ms}}}}
 """
     )
-    deepbots("copy", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole")
     timing = {row["name"]: row for row in json.loads(deepbots("inspect", "aged.yaml", "--json").out)["timing"]}
     ages = {name: timing[name]["age_s"] for name in ("x", "was.x", "before.y", "gone", "cart.pole_angle")}
     assert ages == {"x": 0, "was.x": 0.032, "before.y": 0.064, "gone": 0, "cart.pole_angle": 0.064}
@@ -279,7 +278,7 @@ def test_drawn_masses_and_frictions_are_shown_as_draws(deepbots):
 
 
 def test_a_value_on_several_lines_is_shown_as_a_mapping_on_one(deepbots, tmp_path):
-    deepbots("copy", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole")
     scenario = tmp_path / "cartpole.yaml"
     start = "  place:  {cart: {z: 0.04 m}}"
     assert start in scenario.read_text()
@@ -303,11 +302,11 @@ def test_inspect_shows_the_stages_of_the_curriculum_and_one_of_them(deepbots):
 
 
 def test_a_stage_of_the_curriculum_can_be_run(deepbots):
-    lonely = json.loads(deepbots("run", "find_ball_random", "--stage", "open", "--episodes", "1", "--steps", "20", "--json").out)
+    lonely = json.loads(deepbots("try", "find_ball_random", "--stage", "open", "--episodes", "1", "--steps", "20", "--json").out)
     assert (lonely["stage"], lonely["episodes"][0]["reward_terms"]["scrape"]) == ("open", 0)
 
 
-@pytest.mark.parametrize("verb", ["run", "inspect"])
+@pytest.mark.parametrize("verb", ["try", "inspect"])
 def test_a_stage_that_there_is_not_is_told_with_those_there_are(deepbots, verb):
     ran = deepbots(verb, "find_ball_random", "--stage", "full")
     assert (ran.code, "has no stage 'full'; there are: open, few, crowded" in ran.err) == (2, True)
@@ -332,7 +331,7 @@ def test_without_the_library_its_defaults_are_called_so(deepbots, monkeypatch):
 
 @pytest.mark.parametrize(("written", "meant"), [("1e1", 10), ("2_0", 20), ("1k", 1000), ("1.5e2", 150)])
 def test_whole_numbers_may_be_written_short(deepbots, written, meant):
-    ran = deepbots("run", "cartpole", "--set", "truncation={max_steps: 1000}", "--episodes", "1000", "--steps", written, "--json")
+    ran = deepbots("try", "cartpole", "--set", "truncation={max_steps: 1000}", "--episodes", "1000", "--steps", written, "--json")
     assert sum(episode["length"] for episode in json.loads(ran.out)["episodes"]) == meant
 
 
@@ -340,9 +339,9 @@ def test_whole_numbers_may_be_written_short(deepbots, written, meant):
     ("words", "said"),
     [
         (("train", "cartpole", "--timesteps", "many"), "'many' is not a whole number; write it like 100000, 100_000, 100k or 1e5"),
-        (("run", "cartpole", "--episodes", "2.5"), "'2.5' is not a whole number"),
-        (("run", "cartpole", "--episodes", "0"), "0 is too small; the minimum is 1"),
-        (("run", "cartpole", "--seed", str(2**63)), "is too large; the maximum is 9223372036854775807"),
+        (("try", "cartpole", "--episodes", "2.5"), "'2.5' is not a whole number"),
+        (("try", "cartpole", "--episodes", "0"), "0 is too small; the minimum is 1"),
+        (("try", "cartpole", "--seed", str(2**63)), "is too large; the maximum is 9223372036854775807"),
     ],
 )
 def test_what_is_no_whole_number_is_refused_with_how_to_write_one(deepbots, words, said):
@@ -394,7 +393,7 @@ def test_bench_tells_how_far_it_is():
 
 
 def test_a_project_names_a_clone_and_no_index(deepbots, tmp_path):
-    deepbots("eject", "cartpole", "mine")
+    deepbots("compile", "cartpole", "--project", "mine")
     text = (tmp_path / "mine" / "requirements.txt").read_text()
     assert "==" not in text
     assert "deepbots-cli[train] @ file:///" in text

@@ -108,7 +108,7 @@ def test_the_command_of_a_failed_test_shows_its_episode(small, deepbots: Deepbot
     ran = small("  one: {policy: uncertain, episodes: 9, seed: 4, case: near, expect: {ends_by: there}}\n", "--json")
     (miss,) = json.loads(ran.out)["scenarios"][0]["tests"][0]["misses"]
     assert miss["command"] == (
-        f"deepbots view small.yaml --case near --engine exact --script uncertain --seed 4 --episode {miss['episode']}"
+        f"deepbots view small.yaml --case near --engine exact --driver uncertain --seed 4 --episode {miss['episode']}"
     )
     with closing(api.make("small.yaml", engine="exact")) as environment:
         starts = [environment.reset(seed=derive_seed(4, "evaluation", k))[1]["drawn"]["start"] for k in range(9)]
@@ -182,7 +182,7 @@ def test_tests_change_neither_the_scenario_nor_one_that_extends_it(small, tmp_pa
 def test_an_assignment_leaves_tests_out_except_of_a_test(small, deepbots: Deepbots) -> None:
     """`--set` may take away what a test names; `test --set` asks for the tests under this setting."""
     assert small("  one: {policy: onward, expect: {ends_by: there}}\n", "--set", "edge=40mm").code == 1
-    assert deepbots("run", "small.yaml", "--engine", "exact", "--set", "scripts={rest: {drive: 0}}", "--steps", "2").code == 0
+    assert deepbots("try", "small.yaml", "--engine", "exact", "--set", "scripts={rest: {drive: 0}}", "--steps", "2").code == 0
 
 
 def test_a_condition_holds_only_if_it_holds_for_every_copy(tmp_path: Path) -> None:

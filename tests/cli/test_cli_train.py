@@ -69,8 +69,8 @@ def test_the_next_commands_can_be_pasted_though_the_path_has_blanks(deepbots, tm
     assert "deepbots eval 'my läufe/a b' --video 'a b.mp4'" in ran.err
     assert "--resume 'my läufe/a b'" in ran.err
     assert "--logdir 'my läufe/a b/tensorboard'" in ran.err
-    assert "deepbots lint 'to change/cartpole.yaml'" in deepbots("copy", "cartpole", "to change").err
-    assert "cd 'to edit' &&" in deepbots("eject", "cartpole", "to edit").err
+    assert "deepbots lint 'to change/cartpole.yaml'" in deepbots("new", "cartpole", "to change", "--from", "cartpole").err
+    assert "cd 'to edit' &&" in deepbots("compile", "cartpole", "--project", "to edit").err
 
 
 def test_a_run_is_never_overwritten(deepbots, trained):
@@ -140,7 +140,7 @@ def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
     assert shown["cases"][0]["mean_return"] < shown["mean_return"]
     assert json.loads(deepbots("eval", "mine", "--case", "steep", "--json").out)["cases"] == []
     assert deepbots("eval", "mine", "--case", "flat").err == "error: CartPole has no case 'flat'; there are: steep, there\n"
-    ran = json.loads(deepbots("run", "cartpole", "--set", cases, "--case", "steep", "--actions", "forward", "--json").out)
+    ran = json.loads(deepbots("try", "cartpole", "--set", cases, "--case", "steep", "--driver", "forward", "--json").out)
     assert all(episode["length"] < 15 for episode in ran["episodes"])
 
 
@@ -262,7 +262,7 @@ def test_a_damaged_run_and_one_of_a_newer_version_are_told_in_one_sentence(deepb
 
 
 def test_a_run_is_not_evaluated_in_a_scenario_that_does_not_fit(deepbots, trained, tmp_path):
-    deepbots("copy", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole")
     fitting = (tmp_path / "cartpole.yaml").read_text()
     assert deepbots("eval", "mine", "--scenario", "cartpole.yaml", "--episodes", "1").code == 0
     (tmp_path / "cartpole.yaml").write_text(fitting.replace("-0.8 .. 0.8 m/s", "-0.9 .. 0.9 m/s"))
@@ -273,7 +273,7 @@ def test_a_run_is_not_evaluated_in_a_scenario_that_does_not_fit(deepbots, traine
 
 
 def test_an_evaluation_elsewhere_says_where_and_whether_that_is_another_world(deepbots, trained, tmp_path):
-    deepbots("copy", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole")
     text = (tmp_path / "cartpole.yaml").read_text()
     (tmp_path / "wider.yaml").write_text(text.replace("track:       0.39 m", "track:       0.42 m"))
     assert (
@@ -310,7 +310,7 @@ def test_a_requirement_met_by_a_changed_criterion_names_the_change_in_every_form
     with (tmp_path / "gate.csv").open(newline="") as stream:
         row = next(csv.DictReader(stream))
     assert (row["run"], row["set"], row["remarks"]) == ("mine", "solved={mean_return: 1, episodes: 4}", remarks[1:-1])
-    deepbots("copy", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole")
     deepbots("eval", "mine", "--scenario", "cartpole.yaml", "--min-return", "0", "--episodes", "3", "--junit", "other.xml")
     suite = ElementTree.parse(tmp_path / "other.xml").getroot()
     assert suite.find("testcase").get("name") == "mean return of at least 0 (scenario cartpole.yaml)"
@@ -382,7 +382,7 @@ def test_the_list_tells_runs_of_different_scenarios_with_one_name_apart(deepbots
 
 
 def test_warnings_about_another_scenario_are_mentioned_with_a_command_that_can_be_pasted(deepbots, trained, tmp_path):
-    deepbots("copy", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole")
     text = (tmp_path / "cartpole.yaml").read_text()
     (tmp_path / "my cart.yaml").write_text(text.replace("termination:", "signals: {spare: abs(x)}\n\ntermination:"))
     ran = deepbots("eval", "mine", "--scenario", "my cart.yaml", "--episodes", "1")

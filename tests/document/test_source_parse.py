@@ -178,8 +178,8 @@ def test_a_duplicate_key_is_reported_with_the_first_one_which_is_kept() -> None:
         ("a: 1\n- b", "DB001", "- b", "indent the list"),
         ("a: 1\n---\nb: 2", "DB001", "---", "one document"),
         # nothing
-        ("", "DB107", "", "deepbots copy"),
-        ("# only words\n", "DB107", "", "deepbots copy"),
+        ("", "DB107", "", "deepbots new"),
+        ("# only words\n", "DB107", "", "deepbots new"),
         ("a:\nb: 1", "DB107", "a", "indent"),
         ("a: null", "DB107", "a", "no null"),
         ("a: ~", "DB107", "a", "no null"),

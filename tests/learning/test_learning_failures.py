@@ -44,7 +44,7 @@ def test_a_scenario_without_a_value_is_told_with_its_place_and_repeated_from_a_f
     text, notes = str(caught.value), caught.value.full_message
     path = tmp_path / "run" / "failures" / "0001.json"
     failure, error = reproduce(path)
-    assert all(part in text for part in (f"episode {failure.episode} (seed ", "step ", field, f"deepbots run {path}"))
+    assert all(part in text for part in (f"episode {failure.episode} (seed ", "step ", field, f"deepbots try {path}"))
     assert failure.error in text
     assert error is not None
     assert text.startswith(error)
@@ -169,5 +169,5 @@ def test_actions_after_the_end_of_the_episode_are_not_repeated(trained: Training
 
 
 def test_a_kept_episode_takes_no_settings(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", "failures/0001.json", "--engine", "mujoco"]) == 2
+    assert main(["try", "failures/0001.json", "--engine", "mujoco"]) == 2
     assert "keeps its scenario, start and actions" in capsys.readouterr().err

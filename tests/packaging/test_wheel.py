@@ -83,9 +83,9 @@ print([main(words.split()) for words in ("list --json", "lint cartpole", "explai
 
 
 def test_a_copied_scenario_runs_from_the_folder_it_was_copied_to(installed: Path, tmp_path: Path) -> None:
-    assert deepbots(installed, tmp_path, "copy", "cartpole", "mine").returncode == 0
+    assert deepbots(installed, tmp_path, "new", "cartpole", "mine", "--from", "cartpole").returncode == 0
     (scenario,) = (tmp_path / "mine").glob("*.yaml")
-    ran = deepbots(installed, tmp_path, "run", str(scenario), "--steps", "20", "--json")
+    ran = deepbots(installed, tmp_path, "try", str(scenario), "--steps", "20", "--json")
     assert ran.returncode == 0, ran.stderr
     json.loads(ran.stdout)
 

@@ -61,7 +61,7 @@ def answers(site):
     lines = [
         *(("lint", name) for name in ("acme_spin", "acme_throttle")),
         ("inspect", "acme_spin"),
-        ("list", "--json"),
+        ("scenarios", "--json"),
         *(lint("acme_spin", change) for change, _, _ in MISTAKES),
         *(lint("acme_throttle", change) for change, _, _ in ACTUATOR_MISTAKES),
         *(("explain", word) for word in ("ACME1", *WORDS)),
@@ -82,7 +82,7 @@ def test_a_scenario_of_a_plugin_is_found_by_name_and_has_no_findings(answers, na
 
 def test_a_scenario_of_a_plugin_is_inspected_and_listed(answers):
     assert "AcmeSpin" in answers["inspect", "acme_spin"][1]
-    listed = json.loads(answers["list", "--json"][1])
+    listed = json.loads(answers["scenarios", "--json"][1])
     assert "acme_spin" in [row["name"] for row in listed["scenarios"]]
 
 

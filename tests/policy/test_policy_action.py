@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deepbots_cli.cli.commands import run
 from deepbots_cli.errors import UsageError
-from deepbots_cli.rollout.drivers import zero_action
+from deepbots_cli.rollout.drivers import repeated_actions, zero_action
 from deepbots_cli.runtime import Supervisor
 
 Small = Callable[..., Supervisor]
@@ -82,5 +81,5 @@ def test_what_does_not_fit_is_refused_and_changes_nothing(small: Small, action: 
 def test_an_action_of_both_can_be_scripted_and_left_alone(small: Small) -> None:
     environment = small(REWARD, MIXED)
     environment.reset(seed=0)
-    assert environment.step(run.repeated_actions(environment, "0.5:high:-1").act(None))[1] == 0.5 + 30 + 0
+    assert environment.step(repeated_actions(environment, "0.5:high:-1").act(None))[1] == 0.5 + 30 + 0
     assert environment.step(zero_action(environment.action_space))[1] == 0 + 10 + 200

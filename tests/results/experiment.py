@@ -87,7 +87,7 @@ class Training:
 
 @dataclass(frozen=True)
 class Baseline:
-    """Episodes of a policy that learned nothing: `--policy random`, `--actions forward` or `--script rocking`."""
+    """Episodes of a policy that learned nothing: `--driver random`, `--driver forward` or `--driver rocking`."""
 
     name: str
     options: tuple[str, ...]
@@ -97,12 +97,12 @@ class Baseline:
 
     @property
     def all_options(self) -> tuple[str, ...]:
-        """Of `deepbots run`."""
+        """Of `deepbots try`."""
         case = () if self.case is None else ("--case", self.case)
         return (*self.options, *case, "--episodes", str(self.episodes))
 
 
-RANDOM = Baseline("random", ("--policy", "random"))
+RANDOM = Baseline("random", ("--driver", "random"))
 
 # Figures: what a bar looks at, read from a record
 

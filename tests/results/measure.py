@@ -144,9 +144,10 @@ def asked_evaluation(scenario: str, training: Training, wanted: Evaluation) -> A
 def asked_baseline(scenario: str, wanted: Baseline) -> Asked:
     program = compiled(scenario)
     program = program if wanted.case is None else program.case(wanted.case).program
-    policy = {"scripts": program.agent.scripts if "--script" in wanted.options else (), "training": None}
+    is_scripted = not {script.name for script in program.agent.scripts}.isdisjoint(wanted.options)
+    policy = {"scripts": program.agent.scripts if is_scripted else (), "training": None}
     found = digest(_with(program, policy, curriculum=(), cases=(), evaluation=EvaluationSettings()))
-    return Asked(found, shlex.join(["deepbots", "run", scenario, *wanted.all_options]))
+    return Asked(found, shlex.join(["deepbots", "try", scenario, *wanted.all_options]))
 
 
 @cache
@@ -333,7 +334,7 @@ def _evaluate(scenario: str, training: Training, seed: int, folder: Callable[[],
 
 
 def _try(scenario: str, baseline: Baseline) -> dict[str, Any]:
-    found, seconds = deepbots("run", scenario, *baseline.all_options)
+    found, seconds = deepbots("try", scenario, *baseline.all_options)
     return {"cpu_seconds": round(seconds, 1), **{key: found["summary"][key] for key in KEPT}}
 
 

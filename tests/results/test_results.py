@@ -85,7 +85,8 @@ def test_bars_look_at_what_is_measured_and_no_reported_seed_was_used_for_tuning(
                 assert figure.case is None or figure.case in {case.name for case in found.cases}
             assert figure.training is None or figure.training in {training.name for training in experiment.trainings}
         for option, name in (baseline.options for baseline in experiment.baselines):
-            assert option != "--script" or measure.compiled(experiment.scenario).script(name)
+            assert option == "--driver"
+            assert name in ("random", "zero") or measure.compiled(experiment.scenario).script(name)
         assert all(seed >= FIRST_SEED for training in experiment.trainings for seed in training.seeds)
 
 

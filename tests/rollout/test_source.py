@@ -15,7 +15,14 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.scenario import Scenario
 
-SCENARIO = [["train", "?", "--quiet"], ["run", "?"], ["bench", "?"], ["compile", "?"], ["eject", "?", "made"], ["schema", "--for", "?"]]
+SCENARIO = [
+    ["train", "?", "--quiet"],
+    ["try", "?"],
+    ["bench", "?"],
+    ["compile", "?"],
+    ["compile", "?", "--project", "made"],
+    ["schema", "--for", "?"],
+]
 RUN = [
     ["eval", "?"],
     ["train", "--resume", "?"],
@@ -69,7 +76,7 @@ NOT_A_SOURCE = "{} is not a run, a group or a scenario: it is a folder without r
 @pytest.mark.parametrize(
     ("name", "commands", "sentence"),
     [
-        ("cartpool", [*SCENARIO, *RUN, *EITHER, *FOLDER_OR_FILE], NOWHERE + "did you mean cartpole? (`deepbots list` shows all)"),
+        ("cartpool", [*SCENARIO, *RUN, *EITHER, *FOLDER_OR_FILE], NOWHERE + "did you mean cartpole? (`deepbots scenarios` shows all)"),
         ("cart", [*SCENARIO, *RUN, *EITHER, *FOLDER_OR_FILE], NOWHERE + "did you mean cart.yaml?"),
         ("empty", [*SCENARIO, *RUN, *EITHER], NOT_A_SOURCE),
         ("pictures", [*SCENARIO, *RUN, *EITHER], NOT_A_SOURCE),

@@ -251,7 +251,7 @@ def test_what_cannot_be_opened_is_told(capsys):
     for wrong, message in (
         (["find_ball", "--world", "3"], "there is no world 3; add --worlds N"),
         (["find_ball", "--worlds", "4", "--world", "4"], "a batch of 4 worlds has worlds 0 to 3"),
-        (["find_ball", "--worlds", "4", "--script", "around"], "'around' cannot act in a batch"),
+        (["find_ball", "--worlds", "4", "--driver", "around"], "'around' cannot act in a batch"),
         (["find_ball", "--worlds", "4", "--engine", "pybullet"], "the engine 'pybullet' has no batches"),
         (["see_ball", "--worlds", "4"], "it has cameras"),
     ):
@@ -262,7 +262,7 @@ def test_what_cannot_be_opened_is_told(capsys):
 def test_a_recording_is_played_and_scrubbed(tmp_path):
     pytest.importorskip("mcap")
     path = tmp_path / "cartpole.mcap"
-    assert main(["record", "cartpole", "--episodes", "2", "--out", str(path)]) == 0
+    assert main(["record", "cartpole", "--episodes", "2", "--output", str(path)]) == 0
     with closing(Page(Showing(str(path)), port=0)) as page:
         page.play(False)
         page.seek(7)

@@ -116,7 +116,7 @@ def test_an_offline_page_holds_the_episode(tmp_path):
 
 def test_the_commands_write_their_files_and_refuse_what_they_cannot(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["picture", "cartpole", "--size", "120x90", "--out", "a.png"]) == 0
+    assert main(["picture", "cartpole", "--size", "120x90", "--output", "a.png"]) == 0
     with Image.open("a.png") as image:
         assert image.size == (120, 90)
     assert main(["clip", "cartpole", "--size", "120x90", "--seconds", "0.3", "-o", "a.gif"]) == 0
@@ -127,8 +127,8 @@ def test_the_commands_write_their_files_and_refuse_what_they_cannot(tmp_path, ca
         (["picture", "cartpole", "--size", "9x9"], "is not a size"),
         (["picture", "cartpole", "--from", "1,2"], "is not a point"),
         (["picture", "cartpole", "--from", "nan,0,0"], "no number"),
-        (["clip", "find_ball", "--script", "nobody", "-o", "b.gif"], "no script 'nobody'"),
-        (["clip", "cartpole", "--script", "policy", "-o", "b.gif"], "only a run has a policy"),
+        (["clip", "find_ball", "--driver", "nobody", "-o", "b.gif"], "no script 'nobody'"),
+        (["clip", "cartpole", "--driver", "policy", "-o", "b.gif"], "only a run has a policy"),
     ):
         assert main(words) == 2
         assert said in " ".join(capsys.readouterr().err.split())

@@ -245,9 +245,9 @@ def test_files_of_other_programs_are_plotted(tmp_path, capsys):
     folder = _events(tmp_path / "sb3", rollout__ep_rew_mean=[(0, 1.0), (100, 3.0)])
     for suffix in (".png", ".svg"):
         out = tmp_path / f"plot{suffix}"
-        assert main(["plot", str(folder), "--dark", "--out", str(out)]) == 0
+        assert main(["plot", str(folder), "--dark", "--output", str(out)]) == 0
         assert out.read_bytes()[:5] in (b"\x89PNG\r", b"<?xml")
-    assert main(["plot", str(folder), "--out", str(tmp_path / "plot.pdf")]) == 2
+    assert main(["plot", str(folder), "--output", str(tmp_path / "plot.pdf")]) == 2
     assert "must end in .png or .svg" in capsys.readouterr().err
 
 
@@ -281,7 +281,7 @@ def test_names_of_others_are_text_and_not_formulas(runs, tmp_path):
     log = runs / "a0" / "monitor.csv"
     rows = [f"1,10,0.1,{n},{10 * n},0.1,0,ending {n}," for n in range(1, 100)]
     log.write_text(log.read_text().replace("crashed", r"$\frac{$") + "\n" + "\n".join(rows) + "\n")
-    assert main(["plot", str(runs / "a0"), "--out", str(tmp_path / "plot.png")]) == 0
+    assert main(["plot", str(runs / "a0"), "--output", str(tmp_path / "plot.png")]) == 0
     labels = plots.plot(plots.read_logs([runs / "a0"])).axes[3].get_legend_handles_labels()[1]
     assert len(labels) == 21
     assert "others" in labels

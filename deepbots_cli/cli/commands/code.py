@@ -1,4 +1,4 @@
-"""What a scenario generates: `compile` prints a Python module, `eject` writes a project around it, `schema` prints a JSON Schema."""
+"""What a scenario generates: `compile` prints a Python module or writes a project around it, `schema` prints a JSON Schema."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ from pathlib import Path, PurePosixPath
 from shlex import quote
 from typing import Annotated
 
-import typer
-
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowPaths, Force, Json, Overrides, Scenario, option
+from deepbots_cli.cli.command import ADVANCED, OUTPUT, AllowPaths, Force, Json, Overrides, Scenario, option
 from deepbots_cli.cli.commands.new import Files, modeline, write_new
 from deepbots_cli.codegen import generate_module
 from deepbots_cli.codegen.text import class_name
@@ -29,33 +27,52 @@ from deepbots_cli.scenario.json_schema import schema_text
 def compile_(
     scenario: Scenario,
     overrides: Overrides = None,
-    output: Annotated[Path | None, option("--output -o FILE", "Write to this file; by default, print.")] = None,
-    force: Force = False,
-    program: Annotated[bool, option("--program", "Print the compiled scenario as canonical JSON instead of Python.")] = False,
-    target: Annotated[str, option("--target TARGET", "scalar: one world; batch: many worlds, where each number is an array.")] = "scalar",
+    output: Annotated[Path | None, option("--output -o FILE", "Write to this file; by default, print.", OUTPUT)] = None,
+    project: Annotated[
+        Path | None,
+        option("--project DIR", "Write a Python project to this folder: the module, and scripts that run and train it.", OUTPUT),
+    ] = None,
     as_json: Json = False,
+    program: Annotated[bool, option("--program", "Print the compiled scenario as canonical JSON instead of Python.", ADVANCED)] = False,
+    target: Annotated[
+        str, option("--target TARGET", "scalar: one world; batch: many worlds, where each number is an array.", ADVANCED)
+    ] = "scalar",
+    force: Force = False,
     permissions: Permissions = Permissions(),
 ) -> None:
     """Print the Python module that a scenario compiles to.
 
     deepbots runs exactly this module. It has a controller class for each robot, and a supervisor, which is a Gymnasium environment.
 
+    --project writes a Python project that you can edit: the module, the scenario with its files, and scripts that run and train it. The
+    project needs deepbots as a library. Change the classes only where the scenario cannot express the change.
+
     \b
       deepbots compile cartpole
       deepbots compile cartpole -o environment.py
+      deepbots compile cartpole --project my_cartpole
       deepbots compile cartpole --program
       deepbots compile cartpole --target batch
 
-    Next: `deepbots eject SCENARIO DIR` writes the module with scripts that run and train it.
+    Next: `cd my_cartpole && python run.py` runs the project.
     """
     if program and as_json:
         raise UsageError("--program and --json exclude each other; --program prints JSON already")
     if target not in ("scalar", "batch"):
         raise UsageError(f"there is no target '{target}'; there are scalar and batch")
+    if project is not None:
+        if output is not None or program or target != "scalar":
+            raise UsageError("--project writes the module for one world; leave out --output, --program and --target")
+        check_new_folder(project, force=force)
     compiled = api.compile(scenario, overrides=overrides or (), permissions=permissions)
     if output is not None and output.is_file() and output.read_bytes() in compiled.inputs.values():
         raise UsageError(f"{output} is an input of the scenario; name another output file")
     terminal.note_warnings(compiled.findings, scenario)
+    if project is not None:
+        written = write_new(project_files(compiled), project, force=force)
+        further = [f"cd {quote(str(project))} && python run.py"]
+        terminal.show({"project": project, "files": written}, *map(str, written), as_json=as_json, next_commands=further)
+        return
     code = compiled.code if target == "scalar" else generate_module(compiled.program, target)
     if as_json:
         data = {"name": compiled.program.name, "digest": compiled.digest, "code": code, "inputs": list(compiled.inputs)}
@@ -63,31 +80,6 @@ def compile_(
     else:
         text = f"{identity.to_json(compiled.program)}\n" if program else code
     _write(text, output, force=force)
-
-
-def eject(
-    scenario: Scenario,
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the project.")],
-    overrides: Overrides = None,
-    force: Force = False,
-    as_json: Json = False,
-    permissions: Permissions = Permissions(),
-) -> None:
-    """Write a scenario as a Python project that you can edit.
-
-    The project holds the generated classes, the scenario with its files, and scripts that run and train it. It needs deepbots as a library.
-    Change the classes only where the scenario cannot express the change.
-
-    \b
-      deepbots eject cartpole my_cartpole
-      cd my_cartpole && python run.py
-    """
-    check_new_folder(folder, force=force)
-    compiled = api.compile(scenario, overrides=overrides or (), permissions=permissions)
-    terminal.note_warnings(compiled.findings, scenario)
-    written = write_new(project_files(compiled), folder, force=force)
-    further = [f"cd {quote(str(folder))} && python run.py"]
-    terminal.show({"project": folder, "files": written}, *map(str, written), as_json=as_json, next_commands=further)
 
 
 def project_files(compiled: api.Compiled) -> Files:
@@ -126,7 +118,7 @@ def schema(
         str | None, option("--for SCENARIO", "Also list the joints, links, sensors and other names of this scenario.")
     ] = None,
     output: Annotated[
-        Path | None, option("--output -o FILE", "Write to this file. By default, or with - as FILE, print to standard output.")
+        Path | None, option("--output -o FILE", "Write to this file. By default, or with - as FILE, print to standard output.", OUTPUT)
     ] = None,
     force: Force = False,
     allow_paths: AllowPaths = None,

@@ -28,7 +28,7 @@ class Target(StrEnum):
 def command(
     source: Annotated[Path, typer.Argument(metavar="RUN|BUNDLE", help="A run directory, or with --check a folder that `export` wrote.")],
     to: Annotated[Target, option("--to", "Format of the policy.")] = Target.onnx,
-    out: Annotated[Path | None, option("--out -o FOLDER", "Folder to write; by default RUN-onnx.")] = None,
+    out: Annotated[Path | None, option("--output -o FOLDER", "Folder to write; by default RUN-onnx.")] = None,
     force: Force = False,
     last: Annotated[bool, option("--last", "Export the last model instead of the best one.")] = False,
     check: Annotated[str | None, option("--check SCENARIO", "Compare a bundle with a scenario, item by item; write nothing.")] = None,
@@ -78,7 +78,7 @@ def _check(folder: Path, scenario: str, overrides: list[str] | tuple[()], permis
     from deepbots_cli.insight import card
 
     if writes:
-        raise UsageError("--check writes nothing; leave out --out and --last")
+        raise UsageError("--check writes nothing; leave out --output and --last")
     known = card.read_card(folder)
     compiled = api.compile(scenario, overrides=overrides, permissions=permissions)
     words = ("bundle", "scenario")

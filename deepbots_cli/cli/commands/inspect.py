@@ -71,7 +71,7 @@ def command(
       deepbots inspect runs/cartpole-0-1
       deepbots inspect package://pybullet_data/husky/husky.urdf --picture husky.png
 
-    Next: `deepbots run SCENARIO` runs random actions.
+    Next: `deepbots try SCENARIO` runs random actions.
     """
     if picture is not None:
         _check(picture, force=force)

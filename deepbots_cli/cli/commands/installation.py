@@ -1,4 +1,4 @@
-"""What is installed: `list` names scenarios, `doctor` checks packages and the simulator."""
+"""What is installed: `scenarios` lists scenarios, `doctor` checks packages and the simulator."""
 
 from __future__ import annotations
 
@@ -26,15 +26,14 @@ from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import random_driver
 
 
-def list_(as_json: Json = False) -> None:
+def scenarios(as_json: Json = False) -> None:
     """List the scenarios that come with deepbots.
 
     \b
-      deepbots list
-      deepbots list --json
+      deepbots scenarios
+      deepbots scenarios --json
 
-    Next: `deepbots inspect NAME` shows a scenario, `deepbots copy NAME` copies it to a folder of yours, and `deepbots runs`
-    lists your runs.
+    Next: `deepbots try NAME` runs a scenario, `deepbots inspect NAME` shows its parts, and `deepbots new mine --from NAME` copies it.
     """
     rows: list[Row] = []
     for name in shipped.scenario_names():

@@ -1,7 +1,4 @@
-"""New files, which never replace others: `new` writes a first scenario, `copy` a shipped one with the files that it reads.
-
-The scenarios of `new` come from the templates and the robots of `starters/`.
-"""
+"""`deepbots new`: a scenario from a template or for a robot file (`starters/`), or a copy of a shipped one with the files that it reads."""
 
 from __future__ import annotations
 
@@ -18,13 +15,14 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import starters, terminal
-from deepbots_cli.cli.command import Force, Json, option
+from deepbots_cli.cli.command import OUTPUT, Force, Json, option
 from deepbots_cli.cli.sources import open_robot
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import ScalarNode, files, shipped, walk
 from deepbots_cli.document.files import UnusableFile, project_root, resolve_reference
+from deepbots_cli.document.nodes import node_at
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, check_writable, refuse_overwriting, unwritable_message
@@ -46,17 +44,21 @@ def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the scenario; the file is NAME.yaml.")],
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the files.")] = Path("."),
     template: Annotated[Template | None, option("--template", "Template to begin with.")] = None,
+    shipped_name: Annotated[
+        str | None, option("--from SCENARIO", "Scenario to copy with its files; `deepbots scenarios` lists them.")
+    ] = None,
     urdf: Annotated[
         str | None, option("--urdf ROBOT", "Robot file to begin with: a path, package://..., or the name of a shipped robot.")
     ] = None,
-    schema: Annotated[bool, option("--schema", "Also write NAME.schema.json for completion in an editor.")] = False,
-    force: Force = False,
+    schema: Annotated[bool, option("--schema", "Also write NAME.schema.json for completion in an editor.", OUTPUT)] = False,
     as_json: Json = False,
+    force: Force = False,
 ) -> None:
-    """Write a first scenario from a template or for a robot file.
+    """Write a scenario: from a template, a copy, or a robot file.
 
-    With --urdf, the command chooses a task that suits the robot: driving, reaching, walking, flying or balancing. Existing files are
-    overwritten only with --force. The templates are:
+    With --urdf, deepbots chooses a task that suits the robot: driving, reaching, walking, flying or balancing. --from copies a scenario
+    that comes with deepbots, and rewrites its paths so that they fit the new folder. Existing files are overwritten only with --force.
+    The templates are:
 
     \b
       cartpole  a cart that balances a pole
@@ -67,23 +69,29 @@ def new(
     \b
       deepbots new mine --template wheeled --schema
       deepbots new reach experiments --template arm
+      deepbots new mine --from cartpole
       deepbots new husky --urdf package://pybullet_data/husky/husky.urdf
 
-    Next: `deepbots run mine.yaml` runs random actions, and `deepbots train mine.yaml` trains a policy.
+    Next: `deepbots try mine.yaml` runs random actions, and `deepbots train mine.yaml` trains a policy.
     """
     name = validated_name(name)
-    if template and urdf:
-        raise UsageError("--template and --urdf exclude each other; a template has its own robot")
-    if not (template or urdf):
-        raise UsageError(f"choose a start: --template {'|'.join(Template)}, or --urdf ROBOT")
-    made = from_robot(urdf, name, folder) if urdf else from_template(template or "", name)
+    starts = {"--template": template, "--from": shipped_name, "--urdf": urdf}
+    given = [option for option, value in starts.items() if value]
+    if len(given) > 1:
+        raise UsageError(f"{' and '.join(given)} exclude each other; choose one start")
+    if not given:
+        raise UsageError(f"choose a start: --template {'|'.join(Template)}, --from SCENARIO, or --urdf ROBOT")
+    if urdf:
+        made = from_robot(urdf, name, folder)
+    else:
+        made = from_shipped(shipped_name, name) if shipped_name else from_template(template or "", name)
     kept = _present(made, folder)
     written = write_with_schema(made, folder, force=force) if schema else write_new(made, folder, force=force)
     if urdf:
         terminal.note_warnings(api.lint(written[0]), str(written[0]))
     if not as_json:
         _name_faster_engine(written[0])
-    further = ("run", "inspect", "lint", "train", *(() if schema else ("schema --for",)))
+    further = ("try", "inspect", "lint", "train", *(() if schema else ("schema --for",)))
     _show(written, kept, further, as_json=as_json)
 
 
@@ -163,50 +171,38 @@ def _title(name: str) -> str:
 _PLAIN = re.compile(r"[A-Za-z0-9_./-]+")
 
 
-def copy(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a scenario that comes with deepbots; see: deepbots list")],
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the files.")] = Path("."),
-    force: Force = False,
-    as_json: Json = False,
-) -> None:
-    """Copy a scenario that comes with deepbots, and its files.
-
-    The command rewrites the paths in the scenario so that they fit the new folder. Existing files are overwritten only with --force.
-
-    \b
-      deepbots copy cartpole               writes ./cartpole.yaml and ./robots/urdf/cartpole.urdf
-      deepbots copy cartpole experiments
-
-    Next: change the copy, then run `deepbots lint cartpole.yaml` and `deepbots train cartpole.yaml`.
-    """
-    found = shipped_files(name)
-    kept = _present(found, folder)
-    written = write_new(found, folder, force=force)
-    _show(written, kept, ("lint", "train"), as_json=as_json)
-
-
-def shipped_files(name: str) -> Files:
-    """The files of the shipped scenario `name`, the scenario first, by their paths in the new folder.
+def from_shipped(shipped_name: str, name: str) -> Files:
+    """The files of a shipped scenario by their paths in the new folder, the scenario first, as `NAME.yaml` and under this name.
 
     Files of `scenarios/` move to the top of the folder. The paths in scenarios are rewritten; comments stay.
 
     Raises:
-        UsageError: There is no shipped scenario of this name.
+        UsageError: There is no shipped scenario of this name, or it reads another one that is called `NAME.yaml`.
     """
-    first = shipped.scenario_path(name)
+    first = shipped.scenario_path(shipped_name)
     if first is None:
         names = shipped.scenario_names()
-        near = nearest_word(name, names)
+        near = nearest_word(shipped_name, names)
         hint = f" (did you mean {near}?)" if near else ""
-        raise UsageError(f"there is no shipped scenario '{name}'{hint}; shipped scenarios are: {', '.join(names)}")
-    found: Files = {}
-    waiting = [first.resolve()]
+        raise UsageError(f"there is no shipped scenario '{shipped_name}'{hint}; shipped scenarios are: {', '.join(names)}")
+    target = PurePosixPath(f"{name}.yaml")
+    text, waiting = _rewritten(first.resolve())
+    found: Files = {target: text if name == first.stem else _renamed(text, name)}
     while waiting:
         file = waiting.pop(0)
+        if _target(file) == target:
+            raise UsageError(f"'{name}' is the name of a file that {shipped_name} reads; choose another name")
         if _target(file) not in found:
             found[_target(file)], needed = _moved(file)
             waiting += needed
     return found
+
+
+def _renamed(content: bytes, name: str) -> bytes:
+    """The scenario with another `name`, where it has one."""
+    text = content.decode()
+    node = node_at(parse(Source("", text), Findings()), "name")
+    return (text[: node.span.start] + _title(name) + text[node.span.end :]).encode() if node else content
 
 
 def _target(file: Path) -> PurePosixPath:
@@ -217,17 +213,17 @@ def _target(file: Path) -> PurePosixPath:
 
 def _moved(file: Path) -> tuple[bytes, list[Path]]:
     """The content of `file` for its new place, and the files that it needs."""
-    content = file.read_bytes()
     if file.suffix == ".yaml":
-        return _rewritten(file, content.decode("utf-8"))
+        return _rewritten(file)
+    content = file.read_bytes()
     if file.suffix == ".urdf":
         robot = reader.read(file, file.name, Findings())
         return content, [Path(mesh) for mesh in robot.meshes] if robot else []
     return content, []
 
 
-def _rewritten(file: Path, text: str) -> tuple[bytes, list[Path]]:
-    needed = []
+def _rewritten(file: Path) -> tuple[bytes, list[Path]]:
+    text, needed = file.read_text(encoding="utf-8"), []
     for scalar, path in reversed(list(_references(file, text))):
         needed.append(path)
         there = os.path.relpath(_target(path), _target(file).parent).replace(os.sep, "/")

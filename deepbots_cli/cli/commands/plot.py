@@ -14,7 +14,7 @@ from deepbots_cli.files import atomic_write
 
 def command(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Run directories, folders of runs, or folders of TensorBoard files.")],
-    out: Annotated[Path, option("--out -o FILE", "File to write, .png or .svg.")] = Path("plot.png"),
+    out: Annotated[Path, option("--output -o FILE", "File to write, .png or .svg.")] = Path("plot.png"),
     window: Annotated[int, integer("--window N", "Average returns and successes over this number of episodes.", 1, 100_000)] = 100,
     force: Force = False,
     dark: Annotated[bool, option("--dark", "Light lines on a dark ground.")] = False,
@@ -28,7 +28,7 @@ def command(
 
     \b
       deepbots plot runs/cartpole-0-1
-      deepbots plot runs --out all.svg
+      deepbots plot runs --output all.svg
       deepbots plot runs/base-* runs/changed-* --dark
 
     Next: `deepbots compare RUN RUN` evaluates the policies on the same starts.

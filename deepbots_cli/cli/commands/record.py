@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 from deepbots_cli.cli import records, terminal
-from deepbots_cli.cli.command import Case, Force, Json, Overrides, Seed, Stage, integer, option
-from deepbots_cli.cli.commands.view import Driver, EngineOrRun, Episode, ScenarioOrRun
+from deepbots_cli.cli.command import Case, Driver, Force, Json, Overrides, Seed, Stage, integer, option
+from deepbots_cli.cli.commands.view import EngineOrRun, Episode, ScenarioOrRun
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.rollout.source import RECORDING_SUFFIX
@@ -15,7 +15,7 @@ from deepbots_cli.rollout.source import RECORDING_SUFFIX
 
 def command(
     shown: ScenarioOrRun,
-    out: Annotated[Path | None, option("--out -o FILE", "File to write; by default NAME-SEED-EPISODE.mcap.")] = None,
+    out: Annotated[Path | None, option("--output -o FILE", "File to write; by default NAME-SEED-EPISODE.mcap.")] = None,
     force: Force = False,
     driver: Driver = None,
     seed: Seed = 0,
@@ -38,8 +38,8 @@ def command(
     In a run, the policy acts. In a scenario, the first script acts; without a script, actions are random.
 
     \b
-      deepbots record find_ball --script around
-      deepbots record runs/find_ball-0-1 --episodes 5 --out five.mcap
+      deepbots record find_ball --driver around
+      deepbots record runs/find_ball-0-1 --episodes 5 --output five.mcap
       deepbots record quadruped --seed 3 --episode 2
 
     Next: `deepbots view RECORDING` plays it in the browser.

@@ -16,7 +16,7 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 
 def command(
     run: Annotated[Path, typer.Argument(metavar="RUN|GROUP", help="A run directory of `deepbots train`, or the folder of a group.")],
-    out: Annotated[Path | None, option("--out -o FILE", "File to write; by default RUN.html in the current folder.")] = None,
+    out: Annotated[Path | None, option("--output -o FILE", "File to write; by default RUN.html in the current folder.")] = None,
     force: Force = False,
     figures: Annotated[Path | None, option("--figures FOLDER", "Also write every figure as PNG.")] = None,
     episodes: Annotated[int, integer("--episodes N", "Evaluation episodes to run again for trajectories.", 3, 1000)] = 12,

@@ -28,7 +28,9 @@ from deepbots_cli.lint.settings import scenarios_in, settings
 
 
 def fmt(
-    paths: Annotated[list[Path], typer.Argument(metavar="FILE", help="Scenario files, or folders of them.")],
+    paths: Annotated[
+        list[Path] | None, typer.Argument(metavar="FILE", help="Scenario files, or folders of them; by default this folder.")
+    ] = None,
     check: Annotated[bool, option("--check", "Write nothing, and exit with 1 if a file would change.")] = False,
     diff: Annotated[bool, option("--diff", "Like --check, and show the changes.")] = False,
 ) -> None:
@@ -43,7 +45,7 @@ def fmt(
       deepbots fmt scenarios/ --check
     """
     rewrites, refused = [], False
-    for path in _scenario_files(paths):
+    for path in _scenario_files(paths or [Path(".")]):
         rewrite = _tidied(path)
         refused = refused or rewrite is None
         if rewrite is not None and rewrite.after != rewrite.before:

@@ -42,8 +42,9 @@ class _ScenarioResults:
 
 def command(
     scenarios: Annotated[
-        list[str], typer.Argument(metavar="SCENARIO", help="Scenario files, folders, or names of scenarios that come with deepbots.")
-    ],
+        list[str] | None,
+        typer.Argument(metavar="SCENARIO", help="Scenario files, names of shipped scenarios, or folders; by default this folder."),
+    ] = None,
     only: Annotated[str | None, option("-k NAME", "Run only the tests whose names contain this text.")] = None,
     overrides: Overrides = None,
     engine: Engine = None,
@@ -60,6 +61,7 @@ def command(
     The exit code is 0 if all tests pass, 1 if a test fails or a scenario has errors, and 2 if there is no test to run.
 
     \b
+      deepbots test
       deepbots test cartpole
       deepbots test scenarios/ --junit tests.xml
       deepbots test cartpole.yaml -k fails --engine mujoco
@@ -68,7 +70,7 @@ def command(
     """
     if junit is not None:
         check_output(junit, force=force)
-    began, names = time.perf_counter(), scenario_names(scenarios, settings())
+    began, names = time.perf_counter(), scenario_names(scenarios or ["."], settings())
     options: dict[str, Any] = {
         "overrides": with_engine(overrides, engine),
         "permissions": permissions,
@@ -134,9 +136,9 @@ def _command(scenario: str, result: TestResult, miss: UnmetExpectation, given: S
     settings = [f"--{word} {value}" for word, value in (("case", test.case), ("stage", test.stage)) if value]
     where = " ".join([quote(scenario), *settings, *given])
     if isinstance(test.policy, str):
-        return f"deepbots view {where} --script {test.policy} --seed {test.seed} --episode {episode}"
+        return f"deepbots view {where} --driver {test.policy} --seed {test.seed} --episode {episode}"
     actions, seed = ",".join(action.text for action in test.policy), derive_seed(test.seed, "evaluation", episode)
-    return f"deepbots run {where} --actions={actions} --steps {len(test.policy)} --episodes 1 --seed {seed}"
+    return f"deepbots try {where} --driver={actions} --steps {len(test.policy)} --episodes 1 --seed {seed}"
 
 
 def _sum_up(done: Sequence[_ScenarioResults], seconds: float) -> None:

@@ -13,6 +13,7 @@ import typer
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import (
     Case,
+    Driver,
     Force,
     Overrides,
     Seed,
@@ -77,7 +78,6 @@ Episode = Annotated[int, integer("--episode K", "Begin with the start of held-ou
 Size = Annotated[Any, option("--size WxH", "Width and height in pixels.", parser=size)]
 From = Annotated[Any, option("--from X,Y,Z", "Position of the camera in m; by default it sees the whole scene.", parser=point)]
 At = Annotated[Any, option("--at X,Y,Z", "Point in m that the camera looks at.", parser=point)]
-Driver = Annotated[str | None, option("--script NAME", "Source of the actions: a script of the scenario, `random`, `zero` or `policy`.")]
 
 
 def view(
@@ -85,8 +85,8 @@ def view(
     driver: Annotated[
         str | None,
         option(
-            "--driver --script NAME",
-            "Source of the actions: a script of the scenario, `random`, `zero`, `policy` or `you` (keys and sliders of the page).",
+            "--driver NAME",
+            "Who acts, as for `deepbots try`; also `policy` (of a run) and `you` (keys and sliders of the page).",
         ),
     ] = None,
     seed: Seed = 0,
@@ -190,7 +190,7 @@ def _serve(source: Showing, open_: bool, **options: Any) -> None:
 
 def picture(
     shown: Shown,
-    out: Annotated[Path, option("--out -o PNG", "File to write.")] = Path("picture.png"),
+    out: Annotated[Path, option("--output -o PNG", "File to write.")] = Path("picture.png"),
     force: Force = False,
     size: Size = "640x480",
     eye: From = None,
@@ -218,9 +218,9 @@ def picture(
 
     \b
       deepbots picture find_ball
-      deepbots picture quadruped --labels --size 960x640 --out links.png
+      deepbots picture quadruped --labels --size 960x640 --output links.png
       deepbots picture find_ball --from 0,-1.5,1 --at 0,0,0 --rays
-      deepbots picture find_ball --path --script around
+      deepbots picture find_ball --path --driver around
       deepbots picture runs/find_ball-0-1 --path --episode 3
 
     Next: `deepbots clip SCENARIO` writes a video.
@@ -242,7 +242,7 @@ def picture(
 def clip(
     shown: Shown,
     out: Annotated[
-        Path, option("--out -o FILE", "File to write: .mp4, .gif, or .html for an interactive page that needs no server.")
+        Path, option("--output -o FILE", "File to write: .mp4, .gif, or .html for an interactive page that needs no server.")
     ] = Path("clip.mp4"),
     force: Force = False,
     driver: Driver = None,
@@ -264,9 +264,9 @@ def clip(
     In a run, the policy acts. In a scenario, the first script acts; without a script, actions are random.
 
     \b
-      deepbots clip find_ball --script around --out find_ball.gif
-      deepbots clip runs/cartpole-0-1 --episode 3 --out cartpole.mp4
-      deepbots clip quadruped --out quadruped.html --seconds 10
+      deepbots clip find_ball --driver around --output find_ball.gif
+      deepbots clip runs/cartpole-0-1 --episode 3 --output cartpole.mp4
+      deepbots clip quadruped --output quadruped.html --seconds 10
 
     Next: `deepbots view SCENARIO` shows it live.
     """

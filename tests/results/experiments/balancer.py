@@ -8,7 +8,7 @@ EXPERIMENTS = (
         title="Balancer",
         prose="A robot on two wheels stands upright for ten seconds by a noisy inertial sensor alone. PPO; `lean` is a rule by hand.",
         trainings=(Training(seeds(3)),),
-        baselines=(RANDOM, Baseline("lean", ("--script", "lean"))),
+        baselines=(RANDOM, Baseline("lean", ("--driver", "lean"))),
         bars=(Bar(Ahead("random"), at_least=0),),
     ),
 )

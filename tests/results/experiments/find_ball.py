@@ -16,7 +16,7 @@ EXPERIMENTS = (
         "had been kept, and each time the way to choose it was changed. The fourth, 131 to 135, was trained before the engine ignored "
         "contacts that carry nothing; its worst seed had 98.5 %.",
         trainings=(Training(FRESH, evaluations=(Evaluation(episodes=1000),)),),
-        baselines=(RANDOM, Baseline("around the box", ("--script", "around"))),
+        baselines=(RANDOM, Baseline("around the box", ("--driver", "around"))),
         bars=(
             Bar(Trained("simulated_hours"), at_most=3),
             Bar(Held("success_rate"), at_least=0.95),

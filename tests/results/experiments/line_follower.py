@@ -8,7 +8,7 @@ EXPERIMENTS = (
         title="LineFollower",
         prose="A small robot with three reflectance sensors follows a painted track for a lap. PPO; `steer` is a rule by hand.",
         trainings=(Training(seeds(3)),),
-        baselines=(RANDOM, Baseline("steer", ("--script", "steer"))),
+        baselines=(RANDOM, Baseline("steer", ("--driver", "steer"))),
         bars=(
             Bar(Ahead("random"), at_least=0),
             Bar(Held("success_rate"), at_least=0.95, words="laps completed, held out"),

@@ -8,7 +8,7 @@ EXPERIMENTS = (
         title="PandaPush",
         prose="An arm pushes a block to a mark on a table. The reward is paid at the mark only; SAC with hindsight replay.",
         trainings=(Training(seeds(1)),),
-        baselines=(RANDOM, Baseline("by_hand", ("--script", "by_hand"), words="gets behind the block and pushes")),
+        baselines=(RANDOM, Baseline("by_hand", ("--driver", "by_hand"), words="gets behind the block and pushes")),
         bars=(
             Bar(Ahead("random"), at_least=0),
             Bar(Held("success_rate"), at_least=0.9),

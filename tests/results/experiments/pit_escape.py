@@ -30,8 +30,8 @@ EXPERIMENTS = (
         ),
         baselines=(
             RANDOM,
-            Baseline("forward", ("--script", "forward_only"), episodes=200),
-            Baseline("rocking", ("--script", "rocking"), episodes=200),
+            Baseline("forward", ("--driver", "forward_only"), episodes=200),
+            Baseline("rocking", ("--driver", "rocking"), episodes=200),
         ),
         bars=(
             Bar(Crossed(0.8, "simulated_hours"), at_most=1.3),

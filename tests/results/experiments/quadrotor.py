@@ -9,7 +9,7 @@ EXPERIMENTS = (
         prose="A quadrotor of 28 g flies to a point and stays there, in a wind that changes every second. An episode succeeds if the"
         " drone was within 30 cm of the point for the last 5 of its 8 seconds. PPO.",
         trainings=(Training(seeds(3)),),
-        baselines=(RANDOM, Baseline("zero", ("--policy", "zero"), words="hovering thrust on every rotor")),
+        baselines=(RANDOM, Baseline("zero", ("--driver", "zero"), words="hovering thrust on every rotor")),
         bars=(
             Bar(Ahead("random"), at_least=0),
             Bar(Held("success_rate"), at_least=0.9),

@@ -14,8 +14,8 @@ EXPERIMENTS = (
         trainings=(Training(seeds(2, first=111)),),
         baselines=(
             RANDOM,
-            Baseline("standing", ("--policy", "zero"), words="every joint where it stands"),
-            Baseline("trot", ("--script", "trot"), words="a gait by hand"),
+            Baseline("standing", ("--driver", "zero"), words="every joint where it stands"),
+            Baseline("trot", ("--driver", "trot"), words="a gait by hand"),
         ),
         bars=(
             *(Bar(Ahead(name), at_least=0) for name in ("random", "standing", "trot")),

@@ -10,7 +10,7 @@ EXPERIMENTS = (
         "Every step costs 0.05, so a quick catch is worth more. `chase` is a rule by hand: turn towards the prey, then drive at it; it "
         "drives into the crates. Without them, PPO and `chase` were equally good. PPO, 400 000 steps.",
         trainings=(Training(seeds(1)),),
-        baselines=(RANDOM, Baseline("chase", ("--script", "chase"))),
+        baselines=(RANDOM, Baseline("chase", ("--driver", "chase"))),
         bars=(
             Bar(Ahead("random"), at_least=0),
             Bar(Ahead("chase"), at_least=0),

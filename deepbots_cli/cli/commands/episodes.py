@@ -1,12 +1,11 @@
-"""`deepbots run`: episodes of a policy without learning: random or zero actions, a list of actions, or a script of the scenario."""
+"""`deepbots try`: episodes without learning: random or zero actions, a list of actions, or a script of the scenario."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
-from enum import StrEnum
-from itertools import cycle, islice
+from itertools import islice
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
@@ -32,9 +31,8 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.episodes import Summary
-from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.rollout import Driver, Episode
-from deepbots_cli.rollout.drivers import named_driver, sequence_driver
+from deepbots_cli.rollout.drivers import RANDOM, named_driver
 
 if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
@@ -42,12 +40,7 @@ if TYPE_CHECKING:
 MAX_SHOWN = 20
 """Maximum number of episodes that are listed one by one; of more episodes, only the `FIRST_EPISODES` are."""
 FIRST_EPISODES = 5
-EPISODES = 3
-
-
-class PlainPolicy(StrEnum):
-    random = "random"
-    zero = "zero"
+COUNT = 3
 
 
 def command(
@@ -55,15 +48,15 @@ def command(
     overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
-    policy: Annotated[
-        PlainPolicy | None,
+    driver: Annotated[
+        str,
         option(
-            "--policy", "`random` (default) samples actions; `zero` takes the middle of each range and the first option of each choice."
+            "--driver NAME",
+            "Who acts: `random`, `zero` (the middle of each range and the first option of each choice), a script of the scenario, or"
+            " actions to repeat.",
         ),
-    ] = None,
-    actions: Annotated[str | None, option("--actions A,B,...", "Repeat these actions: names of options, or numbers.")] = None,
-    script: Annotated[str | None, option("--script NAME", "Use this script of the scenario as the policy.")] = None,
-    episodes: Annotated[int, integer("--episodes N", "Number of episodes.")] = EPISODES,
+    ] = RANDOM,
+    episodes: Annotated[int, integer("--episodes N", "Number of episodes.")] = COUNT,
     steps: Annotated[
         int | None, integer("--steps N", "Stop after this total number of steps; by default at the end of the last episode.")
     ] = None,
@@ -73,35 +66,34 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run episodes without a policy, and show the reward terms.
+    """Run a few episodes without training, and show the reward.
 
-    The result shows the returns, the reward terms and the endings of a scenario before any training.
-
-    For the same seed, episode K starts differently in `run` than in `test`, `eval`, `view`, `picture` and `record`, which use held-out
-    starts. `deepbots view SCENARIO --script NAME --seed N --episode K` shows held-out episode K.
+    The tables show the returns, the reward terms and the endings of a scenario, before you train anything. By default the actions are
+    random. Compare them with a script of the scenario.
 
     \b
-      deepbots run cartpole
-      deepbots run cartpole --policy zero --episodes 1
-      deepbots run cartpole --actions forward,backward --steps 50
-      deepbots run pit_escape --script rocking --episodes 100
-      deepbots run find_ball_random --stage crowded
-      deepbots run panda_push --start mark=0.5,0.1 --start objects.block.mass=0.3
+      deepbots try cartpole
+      deepbots try cartpole --driver zero --episodes 1
+      deepbots try cartpole --driver forward,backward --steps 50
+      deepbots try pit_escape --driver rocking --episodes 100
+      deepbots try find_ball_random --stage crowded
+      deepbots try panda_push --start mark=0.5,0.1 --start objects.block.mass=0.3
 
-    Commas separate actions, and colons separate the numbers of one action: --actions 0.5:0.5,0.5:-0.5
+    Commas separate actions, and colons separate the numbers of one action: --driver 0.5:0.5,0.5:-0.5
+
+    For the same seed, episode K of `try` starts differently than in `test`, `eval`, `view` and `render`, which use held-out starts.
+    `deepbots view SCENARIO --driver NAME --seed N --episode K` shows held-out episode K.
 
     If an episode raises an error, training and evaluation save this episode in the run directory. To repeat it, give its file:
 
     \b
-      deepbots run runs/cartpole-0-1/failures/0001.json
+      deepbots try runs/cartpole-0-1/failures/0001.json
 
     Next: `deepbots train SCENARIO` trains a policy.
     """
-    given = [name for name, value in (("--policy", policy), ("--actions", actions), ("--script", script)) if value is not None]
-    if len(given) > 1:
-        raise UsageError(f"{' and '.join(given)} exclude each other")
     if scenario.endswith(".json") and Path(scenario).parent.name == "failures":
-        if given or any((overrides, case, stage, engine, permissions.folders, steps, seed, start)) or episodes != EPISODES:
+        given = any((overrides, case, stage, engine, permissions.folders, steps, seed, start))
+        if given or driver != RANDOM or episodes != COUNT:
             raise UsageError("the file of a failed episode keeps its scenario, start and actions; it takes only --json and --allow-code")
         _reproduce(Path(scenario), permissions=permissions, as_json=as_json)
         return
@@ -109,15 +101,10 @@ def command(
     compiled = api.compile(scenario, overrides=with_engine(overrides, engine), permissions=permissions)
     terminal.note_warnings(compiled.findings, scenario)
     program = compiled.program.variant(case, stage)
-    if script is not None:
-        program.script(script)
     with closing(api.make(program, permissions=permissions)) as environment:
         name = environment.engine.name
-        if actions is not None:
-            driver = repeated_actions(environment, actions)
-        else:
-            driver = named_driver(environment, script or (policy or PlainPolicy.random).value)
-        running = run_episodes(environment, driver, count=episodes, seed=seed, max_steps=steps, options=options)
+        acting = named_driver(environment, driver)
+        running = run_episodes(environment, acting, count=episodes, seed=seed, max_steps=steps, options=options)
         done: list[Episode] = []
         with terminal.progress() as show:
             for episode in running:
@@ -126,7 +113,7 @@ def command(
                     show(len(done), episodes)
     summary = Summary.of_episodes(done, possible_returns(program))
     data = {"scenario": program.name, "digest": compiled.digest, "engine": name, "seed": seed, "start": options}
-    data |= {"case": case, "stage": stage, "script": script, "episodes": list(map(_row, done))}
+    data |= {"case": case, "stage": stage, "driver": driver, "episodes": list(map(_row, done))}
     totals = "\n" + records.summary_text(summary, success_defined=program.defines_success)
     data["summary"] = {"success_defined": program.defines_success, **vars(summary)}
     terminal.show(data, *_lines(done), *([totals] if len(done) > 1 else []), as_json=as_json)
@@ -167,20 +154,6 @@ def _term(done: list[Episode], name: str) -> Row:
     return {"term": name, "per_episode": fmean(sums), "min_episode": min(sums), "max_episode": max(sums), "per_step": sum(sums) / steps}
 
 
-# Drivers
-
-
-def repeated_actions(environment: Supervisor, text: str) -> Driver:
-    """The actions in `text`, repeated without end. Commas separate actions, colons the parts of one action.
-
-    A part is the name or the index of an option, or a number from -1 to 1 for a range. All copies of a robot get the same action.
-
-    Raises:
-        UsageError: The scenario has no such action.
-    """
-    return sequence_driver(cycle([_action(environment, word.strip()) for word in text.split(",")]))
-
-
 def run_episodes(
     environment: Supervisor, driver: Driver, *, count: int, seed: int, max_steps: int | None, options: dict[str, Any] | None = None
 ) -> Iterator[Episode]:
@@ -197,40 +170,3 @@ def run_episodes(
         left = None if left is None else left - episode.length
         if left == 0:
             return
-
-
-def _action(environment: Supervisor, text: str) -> Any:
-    parts = [width for part in environment.scenario.agent.action for width in _slots(part)]
-    words = text.split(":")
-    if len(words) != len(parts):
-        raise UsageError(
-            f"the action '{text}' has {len(words)} parts, and an action of the scenario has {len(parts)}; separate the parts by colons"
-        )
-    values = [_value(part, word.strip()) for part, word in zip(parts, words, strict=True)]
-    ranges = [value for part, value in zip(parts, values, strict=True) if isinstance(part, ActionRange)]
-    choices = [int(value) for part, value in zip(parts, values, strict=True) if isinstance(part, Choices)]
-    return environment.make_action(choices, ranges)
-
-
-def _slots(part: Choices | ActionRange) -> Sequence[Choices | ActionRange]:
-    """The part, repeated once per number that it takes in an action."""
-    return [part] * (max(1, len(part.components)) if isinstance(part, ActionRange) else 1)
-
-
-def _value(part: Choices | ActionRange, word: str) -> float:
-    if isinstance(part, Choices):
-        names = [option.name for option in part.options]
-        if word in names:
-            return names.index(word)
-        if word.isdecimal() and int(word) < len(names):
-            return int(word)
-        raise UsageError(f"'{part.name}' has no option '{word}'; its options are: {', '.join(names)}")
-    try:
-        value = float(word)
-    except ValueError:
-        value = float("nan")
-    if not -1 <= value <= 1:
-        order = f"; the order of its numbers is {':'.join(part.components)}" if len(part.components) > 1 else ""
-        meaning = f"they stand for {part.low:g} and {part.high:g} {part.unit}{order}"
-        raise UsageError(f"'{word}' is not a value of '{part.name}', which takes a number from -1 to 1; {meaning}")
-    return value
