@@ -1,9 +1,9 @@
 """The exceptions that deepbots raises, as a tree.
 
-    DeepbotsError               a problem that the user can mend; the command line prints it as one line
+    DeepbotsError               a problem that the user can fix; the command line prints it as one line
     ├── ScenarioError           a scenario has findings at error level; carries them
     ├── UsageError              wrong arguments, a missing file, an unknown engine (exit code 2)
-    │   ├── BatchError          a batch of worlds cannot hold a scenario
+    │   ├── BatchError          the scenario cannot run in a batch of worlds
     │   ├── MissingExtraError   an optional dependency is not installed
     │   └── RunError            a run directory cannot be used: missing, damaged, or of another version
     ├── MessageError            a message between robot and supervisor is malformed, short or foreign
@@ -34,7 +34,7 @@ class DeepbotsError(Exception):
 
 
 class ScenarioError(DeepbotsError):
-    """A scenario cannot be compiled; `findings` holds every problem that was found."""
+    """A scenario cannot be compiled; `findings` lists every problem."""
 
     def __init__(self, findings: Sequence[Finding]) -> None:
         self.findings = tuple(findings)
@@ -49,7 +49,7 @@ class UsageError(DeepbotsError):
 
 
 class BatchError(UsageError):
-    """A batch of worlds cannot hold a scenario; says why."""
+    """The scenario cannot run in a batch of worlds; the message says why."""
 
 
 class MissingExtraError(UsageError):

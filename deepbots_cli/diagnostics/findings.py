@@ -181,7 +181,7 @@ def exception_finding(what: str, source: Source, error: Exception) -> Finding:
 
 def internal_error_finding(what: str, source: Source, description: str) -> Finding:
     """The DB903 for `what`; `describe_exception` gives the description."""
-    help = "this is a fault of deepbots; report this message together with the file (DEEPBOTS_DEBUG=1 shows the traceback)"
+    help = "this is a bug in deepbots; report this message together with the file (DEEPBOTS_DEBUG=1 shows the traceback)"
     return Finding("DB903", Span(source, 0, 0), f"{what} failed on this file: {description}", help)
 
 
@@ -396,9 +396,7 @@ def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
         codes = list(islice(_CODE.finditer(source.text, *comment.span(1)), _MAX_CODES)) if comment[1] else []
         if not codes:
             span = Span(source, *comment.span())
-            yield Finding(
-                "DB901", span, "a suppression without a code", help="write the code that it suppresses: # deepbots: ignore[DB603]"
-            )
+            yield Finding("DB901", span, "the comment does not name the code to suppress", help="write the code: # deepbots: ignore[DB603]")
         for code in codes:
             removal = _removal(source, comment, [other[0] for other in codes if other[0] != code[0]])
             yield _Suppression(code[0], Span(source, *code.span()), line + 1 if alone else line, removal)
@@ -419,7 +417,7 @@ def _unused(entry: _Suppression) -> Finding:
         help = f"did you mean {near}?" if near else "a code has the form DB603"
         guess = Fix((Edit(entry.span, near),), safe=False) if near else None
         return Finding("DB901", entry.span, f"there is no rule `{entry.code}`", help=help, fix=guess)
-    headline, help = f"this comment suppresses no finding {entry.code}", "remove the comment"
+    headline, help = f"this comment suppresses nothing: there is no {entry.code} here", "remove the comment"
     if rule.severity == "error":
         headline, help = f"{entry.code} is an error, which cannot be suppressed", "correct the error"
     return Finding("DB901", entry.span, headline, help=help, fix=Fix((entry.removal,), safe=True))

@@ -326,7 +326,7 @@ def _fix(finding: Finding, fix: Fix) -> JsonObject:
         change: JsonObject = {"deletedRegion": _region(edit.span), "insertedContent": {"text": edit.text}}
         edits.setdefault(edit.span.source, []).append(change)
     return {
-        "description": {"text": shortened(finding.help or f"mend what {finding.code} reports")},
+        "description": {"text": shortened(finding.help or f"fix {finding.code}")},
         "artifactChanges": [{"artifactLocation": _file(source), "replacements": changes} for source, changes in edits.items()],
         "properties": {"safe": fix.safe},
     }

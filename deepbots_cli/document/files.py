@@ -171,7 +171,7 @@ def check_characters(source: Source, findings: Findings) -> bool:
     if character == "\0":
         headline, help = "the file is binary", "a scenario is a YAML text file"
     elif character in "\r\x85\u2028\u2029":
-        headline, help = f"a line ends in an unusual character ({number})", "end lines with a line feed, as editors on Linux do"
+        headline, help = f"a line ends in an unusual character ({number})", "save the file with Unix line endings (LF)"
     else:
         headline = f"the character {number} is not allowed in YAML"
         help = 'remove it, or write it as an escape in double quotes, such as "\\x1b"'

@@ -15,7 +15,7 @@ from yaml.error import MarkedYAMLError
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Source, Span
 from deepbots_cli.document.nodes import ScalarNode
 
-GIVE_A_VALUE = "give it a value, or remove the key"
+GIVE_A_VALUE = "write a value, or remove the key"
 """The help for an empty key, until a later pass knows what the key takes."""
 
 # Syntax errors
@@ -169,15 +169,16 @@ def _colon(problem: _Problem) -> Finding | None:
     line = text[above : problem.line_start].strip()
     if line.startswith("//"):
         return _line_without_key(problem, text.index("//", above), line)
-    help = "align it with the keys of its section; a key has either a value or further keys"
-    return problem.finding("a key where the value above continues", help, problem.at - len(key), max(1, len(key)))
+    help = "align it with the other keys of its section; a key has either a value or an indented block of keys"
+    headline = "this line belongs to the value above, so it cannot begin with a key"
+    return problem.finding(headline, help, problem.at - len(key), max(1, len(key)))
 
 
 def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
     """A comment of another language, or a key without its colon."""
     help, edit = "write `key: value`, or indent the line if it belongs to the value above", None
     if line.startswith("//"):
-        help, edit = "a comment begins with `#`", (0, 2, "#")
+        help, edit = "begin a comment with `#`", (0, 2, "#")
     elif found := _GLUED.match(line):
         help, edit = "put a space after the colon", (found.end(), found.end(), " ")
     elif found := _ASSIGNED.match(line):
@@ -223,7 +224,7 @@ _HAS_COLON = re.compile(r"\s*:")
 _HIDDEN = re.compile(r":?[ \t]+(#[^\s#]\S*)")
 _COLOUR = re.compile(r"#[0-9A-Fa-f]{6}")
 _NEXT_LINE = re.compile(r"[^\n]*\n(?:[ \t]*(?:#[^\n]*)?\r?\n)*([ ]*)[^\s#}\]]")
-_COMMA_HELP = "a comma inside brackets separates keys; decimals have a point, digits are grouped as in 100_000; "
+_COMMA_HELP = "inside brackets, a comma separates keys: write decimals with a point, group digits as in 100_000, and "
 
 
 def report_values_cut_by_commas(scalars: Iterable[ScalarNode], findings: Findings) -> list[Span]:
@@ -252,7 +253,7 @@ def report_values_cut_by_commas(scalars: Iterable[ScalarNode], findings: Finding
         fix = Fix((Edit(span, f'"{text}"'),), safe=True) if _QUOTABLE.fullmatch(span.text) else None
         if draw := _DRAW.fullmatch(text):
             better = f"{draw[1]}({draw[2]} {_DRAW_SIGNS[draw[1]]} {draw[3]})"
-            help, fix = f"a draw needs no comma: `{better}`", Fix((Edit(span, better),), safe=True)
+            help, fix = f"write the draw without a comma: `{better}`", Fix((Edit(span, better),), safe=True)
         elif chosen := _WHERE.fullmatch(text):
             help, fix = f"write `{chosen[2]} if {chosen[1]} else {chosen[3]}`", None
         findings.add("DB001", span, "a comma inside brackets cuts this value in two", help, fix=fix)
@@ -268,7 +269,7 @@ def report_empty_value(key: ScalarNode, value: ScalarNode, findings: Findings, *
     if value.style != "plain":
         help = f'a leading `{value.span.text[0]}` begins a block of text; put the value in quotes: "{value.span.text}"'
     elif value.text:
-        help = "the language has no null; remove the key"
+        help = "remove the key: deepbots has no null value"
     elif is_flow and _GLUED.match(key.text):
         help = "put a space after the colon"
     elif is_flow and not _HAS_COLON.match(text, end):
@@ -278,7 +279,7 @@ def report_empty_value(key: ScalarNode, value: ScalarNode, findings: Findings, *
         if _COLOUR.fullmatch(hidden[1]) and not is_flow:
             fix = Fix((Edit(Span(key.span.source, *hidden.span(1)), f'"{hidden[1]}"'),), safe=True)
     elif not is_flow and following and len(following[1]) == key.span.start_position.column - 1:
-        help = "give it a value, or indent the lines that belong to it"
+        help = "write a value, or indent the lines that belong to this key"
     findings.add("DB107", key.span, f"`{key.text}` has no value", help, fix=fix)
 
 
@@ -338,17 +339,21 @@ def _odd_number(text: str) -> tuple[str, str, str | None] | None:
     if _LEADING_ZERO.fullmatch(text):
         return f"`{text}` is {int(text)} here, but YAML 1.1 reads a leading zero as octal", f"write {int(text)}", str(int(text))
     if _RADIX.fullmatch(text):
-        return f"`{text}` is text: numbers are decimal", f"write {int(text, 0)}", str(int(text, 0))
+        return f"`{text}` is read as text, because only decimal numbers are supported", f"write {int(text, 0)}", str(int(text, 0))
     if decimal := _DECIMAL_COMMA.fullmatch(text):
         number = text.replace(",", ".")
         certain = len(decimal[1]) != 3  # `1,500` may be either
-        return f"`{text}` is text: decimals have a point", f"write {number} for a decimal", number if certain else None
+        return f"`{text}` is read as text, because decimals need a point", f"write {number} for a decimal", number if certain else None
     if _COMMAS.fullmatch(text):
         number = text.replace(",", "_")
-        return f"`{text}` is text: decimals have a point", f"write {number}", number if _GROUPED.fullmatch(number) else None
+        return f"`{text}` is read as text, because decimals need a point", f"write {number}", number if _GROUPED.fullmatch(number) else None
     if _SEXAGESIMAL.fullmatch(text):
-        return f"`{text}` is text, but YAML 1.1 reads it as a number in base 60", "write a duration with its unit, such as 750 s", None
+        return (
+            f"`{text}` is read as text, but YAML 1.1 reads it as a number in base 60",
+            "write a duration with its unit, such as 750 s",
+            None,
+        )
     if _GROUPS.fullmatch(text):
         number = text.replace("_", "")
-        return f"`{text}` is text: digits are grouped in threes", f"write {number}", number
+        return f"`{text}` is read as text, because its digits are not grouped in threes", f"write {number}", number
     return None

@@ -158,7 +158,7 @@ def allowed_folders(paths: Iterable[str | Path]) -> tuple[Path, ...]:
     folders = [Path(path) for path in ((paths,) if isinstance(paths, (str, Path)) else paths)]
     for folder in folders:
         if not folder.is_dir():
-            raise UsageError(f"there is no folder {folder} that could be read from; --allow-path names a folder outside the project")
+            raise UsageError(f"{folder} is not a folder; --allow-path needs an existing folder")
     return tuple(folder.resolve() for folder in folders)
 
 
@@ -273,7 +273,7 @@ class _Reader:
         try:
             data = self.drafts[path] if path in self.drafts else files.read(path)
         except OSError as error:
-            help = f"the error of the system: {(error.strerror or 'no reason').lower()}"
+            help = f"the operating system reports: {(error.strerror or 'no reason').lower()}"
             self.findings.add("DB204", by, f"`{path.name}` cannot be read", help)
             return None
         self.size += len(data)
@@ -301,8 +301,8 @@ class _Reader:
                 paths.append(steps)
                 _, key, found = descend(own, steps)
                 if found == len(steps) and key is not None and key.span.source is item.span.source:
-                    headline = f"`{item.text}` is defined here, and removed by `remove`"
-                    help = "remove one of the two; a new value replaces the old one without `remove`"
+                    headline = f"`{item.text}` is both defined here and listed under `remove`"
+                    help = "keep one of the two; a new value replaces the inherited one, so it needs no `remove`"
                     self.findings.add("DB205", key.span, headline, help, labels=(Label(item.span, "removed here"),))
             else:
                 here = item.part(len(item.text) - len(rest), len(item.text))
@@ -428,7 +428,7 @@ def _target(root: MappingNode, path: ScalarNode, findings: Findings) -> tuple[No
     here = path.part(at, at + max(1, len(name)))
     inside = f" in `{dotted[: at - start - 1]}`" if at > start else ""
     if not isinstance(reached, MappingNode):
-        findings.add("DB201", here, f"there is no `{name}`{inside}, which holds no keys", "set the whole value instead")
+        findings.add("DB201", here, f"there is no `{name}`{inside}, because it has no keys", "set the whole value instead")
         return None
     near = nearest_word(name, reached.entries, _CUTOFF)
     if name and not below:

@@ -123,7 +123,7 @@ def test_a_group_is_made_of_groups_in_the_order_written(workshop, cartpole) -> N
 def test_a_finding_about_a_value_absorbs_the_warning_about_its_spelling(workshop, cartpole) -> None:
     (finding,) = workshop.lint(cartpole(("100_000", "100_00")))
     assert finding.code == "DB103"
-    assert finding.notes == ("`100_00` is text: digits are grouped in threes",)
+    assert finding.notes == ("`100_00` is read as text, because its digits are not grouped in threes",)
 
 
 @pytest.mark.parametrize(("old", "new"), [("alive: 1", "alive: 1,5"), ("alive: 1", "alive: 0x10"), ("timestep: 32 ms", "timestep: 0:32")])

@@ -357,5 +357,5 @@ def test_an_unknown_name_under_extends_is_reported_with_the_nearest_shipped_scen
 
 def test_a_folder_to_be_allowed_that_is_not_there_is_wrong_usage(tmp_path: Path) -> None:
     file = write(tmp_path, a="deepbots: 1\n")
-    with pytest.raises(UsageError, match="there is no folder"):
+    with pytest.raises(UsageError, match="is not a folder"):
         load(file, permissions=Permissions([tmp_path / "nowhere"]))

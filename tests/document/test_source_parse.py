@@ -313,4 +313,4 @@ def told(node: Node) -> object:
 def test_a_decimal_comma_in_braces_is_told_from_a_key() -> None:
     (finding,) = read("{x: 5 cm, y: -1,5 cm}")[1]
     assert (finding.code, finding.span.text) == ("DB107", "5 cm")
-    assert "decimals have a point" in (finding.help or "")
+    assert "write decimals with a point" in (finding.help or "")

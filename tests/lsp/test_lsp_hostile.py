@@ -180,7 +180,7 @@ def test_a_port_that_is_taken_and_a_folder_that_is_not_there_are_told_in_a_line(
         port = taken.getsockname()[1]
         for arguments, said in [
             (["--tcp", str(port)], f"error: port {port} of this machine cannot be listened on: address already in use\n"),
-            (["--allow-path", "missing"], "error: there is no folder missing that could be read from; --allow-path names"),
+            (["--allow-path", "missing"], "error: missing is not a folder; --allow-path needs an existing folder"),
         ]:
             command = [sys.executable, "-m", "deepbots_cli", "lsp", *arguments]
             environment = {**os.environ, "PYTHONPATH": str(ROOT)}
