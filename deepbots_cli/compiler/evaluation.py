@@ -274,7 +274,7 @@ class _VariantCompiler:
 MAX_TESTS = 200
 MAX_STEPS = 1_000_000
 """Timesteps of a test: a few minutes in a light world."""
-PLAIN_POLICIES = ("random", "zero")
+PLAIN_DRIVERS = ("random", "zero")
 _COMPARISONS = frozenset({"less", "less_equal", "greater", "greater_equal", "equal", "not_equal"})
 _RATE_KEYS: tuple[ExpectedKey, ...] = ("success_rate", "failure_rate", "mean_return")
 _CONDITIONS: tuple[ExpectedKey, ...] = ("always", "eventually")
@@ -303,24 +303,24 @@ class _Reader(NamespaceReader):
     def test(self, name: str, spec: TestSpec) -> ScenarioTest | None:
         """The test; None after an error."""
         known = len(self._values.findings.errors)
-        policy = self._actions(spec) if spec.actions is not None else self._policy(spec)
+        driver = self._actions(spec) if spec.actions is not None else self._driver(spec)
         cases, stages = self._spec.evaluation.cases, [stage.name for stage in self._spec.curriculum]
         for word, section, given, others in (("case", "cases", spec.case, list(cases)), ("stage", "curriculum", spec.stage, stages)):
             if given is not None and given not in others and not self._values.is_invalid(section):
                 self._values.report_unknown(self._values.field(spec, word).span, word, given, others)
         expected = tuple(self._expected(spec.expect))
-        steps = self._steps(spec, policy)
-        if len(self._values.findings.errors) > known or policy is None:
+        steps = self._steps(spec, driver)
+        if len(self._values.findings.errors) > known or driver is None:
             return None
         place = self._values.key_span(("tests", name))
-        return ScenarioTest(name, place, policy, spec.episodes, spec.seed, steps, expected, spec.case, spec.stage)
+        return ScenarioTest(name, place, driver, spec.episodes, spec.seed, steps, expected, spec.case, spec.stage)
 
     # Who acts, for how long
 
-    def _policy(self, spec: TestSpec) -> str | None:
-        name, known = spec.policy or "", [*self._spec.scripts, *PLAIN_POLICIES]
+    def _driver(self, spec: TestSpec) -> str | None:
+        name, known = spec.driver or "", [*self._spec.scripts, *PLAIN_DRIVERS]
         if name not in known and not (self._values.is_invalid("scripts") or self._values.is_invalid(name)):
-            self._values.report_unknown(self._values.field(spec, "policy").span, "script", name, known)
+            self._values.report_unknown(self._values.field(spec, "driver").span, "script", name, known)
         return name
 
     def _actions(self, spec: TestSpec) -> tuple[FixedAction, ...] | None:
@@ -359,11 +359,11 @@ class _Reader(NamespaceReader):
                 words += [f"{share:g}" for share in shares]
         return None if decided is None else FixedAction(tuple(choices), tuple(ranges), ":".join(words))
 
-    def _steps(self, spec: TestSpec, policy: str | tuple[FixedAction, ...] | None) -> int:
+    def _steps(self, spec: TestSpec, driver: str | tuple[FixedAction, ...] | None) -> int:
         """The largest number of steps of an episode; a finding if all episodes of the test may take too many."""
         period = self._program.period
         own = Truncation(spec.max_steps, self._namespace.fixed(spec, "max_time")).max_episode_steps(period)
-        steps = min(own, self._program.truncation.max_episode_steps(period), len(policy) if isinstance(policy, tuple) else own)
+        steps = min(own, self._program.truncation.max_episode_steps(period), len(driver) if isinstance(driver, tuple) else own)
         total = steps * self._program.action_repeat * spec.episodes
         if total > MAX_STEPS and self._program.truncation != Truncation():
             help = "give fewer `episodes`, or a smaller `max_steps` or `max_time`"

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.compiler.evaluation import PLAIN_POLICIES
+from deepbots_cli.compiler.evaluation import PLAIN_DRIVERS
 from deepbots_cli.compiler.namespace import Namespace, Origin, SupervisorScope
 from deepbots_cli.compiler.robots import ResolvedRobot
 from deepbots_cli.diagnostics import Span
@@ -104,7 +104,7 @@ def action_at(path: NodePath) -> str:
     return str(path[place]) if len(path) > place else ""
 
 
-_OF_TESTS = ("policy", "case", "stage", "ending")
+_OF_TESTS = ("driver", "case", "stage", "ending")
 
 
 def _of_tests(namespace: Namespace, kind: str) -> list[NameEntry]:
@@ -112,12 +112,12 @@ def _of_tests(namespace: Namespace, kind: str) -> list[NameEntry]:
     spec = namespace.scenario
     limits = spec.truncation.model_fields_set if spec.truncation else ()
     found: dict[str, list[tuple[NodePath, str, str]]] = {
-        "policy": [(("scripts", name), "a script", name) for name in spec.scripts],
+        "driver": [(("scripts", name), "a script", name) for name in spec.scripts],
         "case": [(("evaluation", "cases", name), "a case of the evaluation", name) for name in spec.evaluation.cases],
         "stage": [(("curriculum", index, "name"), "a stage of the curriculum", stage.name) for index, stage in enumerate(spec.curriculum)],
         "ending": [(("truncation", name), "a limit", name) for name in limits],
     }
-    free = {"policy": [NameEntry(name, "actions without a script") for name in PLAIN_POLICIES]}
+    free = {"driver": [NameEntry(name, "actions without a script") for name in PLAIN_DRIVERS]}
     endings = _defined(namespace, namespace.names_of(Origin.ENDING)) if kind == "ending" else []
     return [*endings, *(_keyed(namespace, *place) for place in found[kind]), *free.get(kind, ())]
 

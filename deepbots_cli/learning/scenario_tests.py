@@ -115,10 +115,10 @@ def _episode(environment: Supervisor, test: ScenarioTest, number: int, misses: l
     """One episode, whose `ended_by` is None if the test stops it; what it misses is added to `misses`."""
     start = Start.of_evaluation(test.seed, number)
     watches = [_ExpectationMonitor(agent, test, number) for agent in environment.agents.values()]
-    if isinstance(test.policy, str):
-        driver = named_driver(environment, test.policy)
+    if isinstance(test.driver, str):
+        driver = named_driver(environment, test.driver)
     else:
-        driver = sequence_driver(environment.make_action(action.choices, action.ranges) for action in test.policy)
+        driver = sequence_driver(environment.make_action(action.choices, action.ranges) for action in test.driver)
 
     def watched() -> Iterator[Step]:
         for step in islice(steps(environment, driver, start), test.steps + 1):

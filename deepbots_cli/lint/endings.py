@@ -476,12 +476,12 @@ def idle_test(context: RuleContext) -> Iterator[Finding]:
     Example::
 
         tests:
-          stays_up: {policy: random, expect: {always: abs(x) >= 0 m}}
+          stays_up: {driver: random, expect: {always: abs(x) >= 0 m}}
 
     Instead::
 
         tests:
-          stays_up: {policy: random, expect: {always: abs(x) < 0.5 m}}
+          stays_up: {driver: random, expect: {always: abs(x) < 0.5 m}}
     """
     program = context.program
     settings = [("", ""), *((case.name, "") for case in program.cases), *(("", stage.name) for stage in program.curriculum)]

@@ -461,7 +461,7 @@ _SECTIONS: dict[str, tuple[NodePath, ...]] = {
     "value on board": (("parameters",), ("action",)),
     "setting": (("parameters",),),
     "parameter or signal": (("parameters",), ("signals",)),
-    "policy": (("scripts",),),
+    "driver": (("scripts",),),
     "ending": (("termination", "success"), ("termination", "failure")),
     "case": (("evaluation", "cases"),),
     "value": (("parameters",), ("augment",), ("signals",)),

@@ -361,12 +361,12 @@ class ExpectedResult:
 class ScenarioTest:
     """Episodes without a trained policy, and the expected results.
 
-    The policy is the name of a script, `random`, `zero`, or a sequence of actions. `steps` is the largest number of steps of an episode.
+    The driver is the name of a script, `random`, `zero`, or a sequence of actions. `steps` is the largest number of steps of an episode.
     """
 
     name: str
     span: Span
-    policy: str | tuple[FixedAction, ...]
+    driver: str | tuple[FixedAction, ...]
     episodes: int
     seed: int
     steps: int

@@ -335,10 +335,10 @@ class Expectation(Section):
 class ScenarioTest(Section):
     """Episodes without a trained policy, and their expected result."""
 
-    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("policy", "actions"), min=1), KeyCount(("case", "stage")))
+    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("driver", "actions"), min=1), KeyCount(("case", "stage")))
 
-    policy: Annotated[str, Reference("policy")] | None = None
-    """What acts: a script, `random`, or `zero`, which takes the middle of each range and the first option of each choice."""
+    driver: Annotated[Annotated[str, Reference("driver")] | None, InsteadOf("policy", "script")] = None
+    """Who acts: a script, `random`, or `zero`, which takes the middle of each range and the first option of each choice."""
     actions: Annotated[Many[Annotated[FixedAction | Choice, FORMS]], Size(1, "action")] | None = None
     """Actions of the first steps; the episode stops after the last of them."""
     episodes: Annotated[int, WholeNumber(1, 1000)] = 1

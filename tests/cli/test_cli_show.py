@@ -280,7 +280,7 @@ def test_drawn_masses_and_frictions_are_shown_as_draws(deepbots):
 def test_a_value_on_several_lines_is_shown_as_a_mapping_on_one(deepbots, tmp_path):
     deepbots("new", "cartpole", "--from", "cartpole")
     scenario = tmp_path / "cartpole.yaml"
-    start = "  place:  {cart: {z: 0.04 m}}"
+    start = "  place: {cart: {z: 0.04 m}}"
     assert start in scenario.read_text()
     scenario.write_text(scenario.read_text().replace(start, "  place:\n    cart:\n      x: 0 m  # the middle\n      z: 0.04 m"))
     rows = json.loads(deepbots("inspect", "cartpole.yaml", "--json").out)["reset"]

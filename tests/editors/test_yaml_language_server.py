@@ -62,8 +62,8 @@ def test_a_sensor_is_offered_the_keys_of_its_kind_alone(typed: Type, kind: str, 
     [
         ("  drive: {choices: {forward: 1, backward: -1}}", "  drive:\n    §", {"range", "each", "choices", "forbid"}, set()),
         ("{choices: {forward: 1, backward: -1}}", "\n    choices: {a: 1, b: 2}\n    §", {"forbid"}, {"range", "each", "choices"}),
-        ("  place:  {cart: {z: 0.04 m}}", "  layouts:\n    one:\n      §", {"map", "cell"}, set()),
-        ("  place:  {cart: {z: 0.04 m}}", "  layouts:\n    one:\n      cell: 10 cm\n      §", {"map", "legend"}, {"cell"}),
+        ("  place: {cart: {z: 0.04 m}}", "  layouts:\n    one:\n      §", {"map", "cell"}, set()),
+        ("  place: {cart: {z: 0.04 m}}", "  layouts:\n    one:\n      cell: 10 cm\n      §", {"map", "legend"}, {"cell"}),
     ],
     ids=["an action", "a choice", "a layout", "a map"],
 )

@@ -64,8 +64,8 @@ def test_words_of_the_language_are_offered_where_one_is_due(typing, old, new, of
         ("forward_only: {roll: forward}", "forward_only: {roll: {¦", {"forward", "turn_left"}),
         ("forward_only: {roll: forward}", "forward_only: {roll: f¦", {"forward", "turn_left"}),
         ("reset: {place: {roller", "reset: {place: {¦", {"roller"}),
-        ("{policy: rocking, ", "{policy: ¦, ", {"rocking", "forward_only", "random", "zero"}),
-        ("{policy: rocking, ", "{actions: [¦], ", {"forward", "turn_left"}),
+        ("{driver: rocking, ", "{driver: ¦, ", {"rocking", "forward_only", "random", "zero"}),
+        ("{driver: rocking, ", "{actions: [¦], ", {"forward", "turn_left"}),
         ("ends_by: escaped", "ends_by: ¦", {"escaped", "max_time"}),
     ],
 )

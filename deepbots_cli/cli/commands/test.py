@@ -135,10 +135,10 @@ def _command(scenario: str, result: TestResult, miss: UnmetExpectation, given: S
     test, episode = result.test, miss.episode
     settings = [f"--{word} {value}" for word, value in (("case", test.case), ("stage", test.stage)) if value]
     where = " ".join([quote(scenario), *settings, *given])
-    if isinstance(test.policy, str):
-        return f"deepbots view {where} --driver {test.policy} --seed {test.seed} --episode {episode}"
-    actions, seed = ",".join(action.text for action in test.policy), derive_seed(test.seed, "evaluation", episode)
-    return f"deepbots try {where} --driver={actions} --steps {len(test.policy)} --episodes 1 --seed {seed}"
+    if isinstance(test.driver, str):
+        return f"deepbots view {where} --driver {test.driver} --seed {test.seed} --episode {episode}"
+    actions, seed = ",".join(action.text for action in test.driver), derive_seed(test.seed, "evaluation", episode)
+    return f"deepbots try {where} --driver={actions} --steps {len(test.driver)} --episodes 1 --seed {seed}"
 
 
 def _sum_up(done: Sequence[_ScenarioResults], seconds: float) -> None:
