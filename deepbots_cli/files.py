@@ -146,7 +146,7 @@ def atomic_write(path: Path, refused: type[UsageError] = UsageError) -> Iterator
 
 
 def picture_problem(data: bytes) -> str | None:
-    """The headline for the first problem of a PNG picture; None for a sound grey picture of 8 or 16 bits.
+    """The headline for the first problem of a PNG picture; None for a sound gray picture of 8 or 16 bits.
 
     The header limits the size before the data is unpacked, to no more bytes than the header promises. PIL decodes the picture
     when the world is built; lint imports neither PIL nor numpy.
@@ -155,11 +155,11 @@ def picture_problem(data: bytes) -> str | None:
         return f"the picture is larger than {MAX_PICTURE_BYTES >> 20} MiB"
     if not data.startswith(_PNG) or data[12:16] != b"IHDR" or len(data) < 33:
         return "the picture is not a PNG file"
-    width, height, bits, colours, packing, filtering, interlaced = struct.unpack(">IIBBBBB", data[16:29])
+    width, height, bits, colors, packing, filtering, interlaced = struct.unpack(">IIBBBBB", data[16:29])
     if not (2 <= width <= MAX_PICTURE_SIDE and 2 <= height <= MAX_PICTURE_SIDE):
         return f"the picture has {width} x {height} pixels, and each side may have 2 to {MAX_PICTURE_SIDE}"
-    if colours != 0 or bits not in (8, 16):
-        return "the picture is not grey with 8 or 16 bits"
+    if colors != 0 or bits not in (8, 16):
+        return "the picture is not gray with 8 or 16 bits"
     if interlaced or packing or filtering:
         return "the picture is interlaced"
     size = height * (width * bits // 8 + 1)  # each row has a byte that names its filter

@@ -71,11 +71,11 @@ CAMERA_RANGE_M = 100.0  # m; as far as cameras see
 
 
 class CameraImage(NamedTuple):
-    """One picture: `colours` uint8 (height, width, 3); `depth` float32 (height, width) in m along the line of sight's axis,
+    """One picture: `colors` uint8 (height, width, 3); `depth` float32 (height, width) in m along the line of sight's axis,
     at most `CAMERA_RANGE_M`; `bodies` int32 (height, width), the place of each pixel's body in `body_names`, -1 for none. A pixel is
     what its centre sees."""
 
-    colours: Image
+    colors: Image
     depth: NDArray[np.float32]
     bodies: NDArray[np.int32]
     body_names: tuple[str, ...]
@@ -201,7 +201,7 @@ class Engine(Bindable, Protocol):
         """Set a parameter of an episode. Called between `reset` and `place`; it holds until the next reset, which restores the model.
 
         Of the world, `()`: `gravity` (x, y, z in m/s^2, world frame), `light` (brightness of pictures; 1 is ordinary). Of a body and its
-        link, or "" for its root link: `mass` (kg; the inertia scales along), `colour` (red, green, blue and opacity, 0 to 1),
+        link, or "" for its root link: `mass` (kg; the inertia scales along), `color` (red, green, blue and opacity, 0 to 1),
         `lateral_friction`, `spinning_friction`, `rolling_friction`, `restitution`. Of a robot and its joint: `joint_damping` (N m s/rad or
         N s/m), `joint_friction` (N m or N).
 

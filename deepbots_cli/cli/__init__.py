@@ -4,7 +4,7 @@ command.py     the commands as one program; arguments that several commands shar
 commands/      the commands, a module per topic, imported when one of its commands is called
 sources.py     scenarios, runs and robots as arguments
 exits.py       exceptions to exit codes
-terminal.py    output, colour, progress
+terminal.py    output, color, progress
 tables.py      tables as text
 inspection.py  the tables of `inspect`
 records.py     results of trainings and evaluations as text, JSON, CSV and JUnit

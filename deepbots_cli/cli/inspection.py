@@ -269,8 +269,8 @@ def _objects(scenario: Program) -> list[Row]:
 
 def _draws(entry: RandomizedParameter) -> str:
     """The expressions that are drawn; one, where all components or parts have the same."""
-    if entry.what == "colour":
-        return f"one of {(len(entry.scalars) - 1) // 3} colours"
+    if entry.what == "color":
+        return f"one of {(len(entry.scalars) - 1) // 3} colors"
     return ", ".join(dict.fromkeys(formula_text(value, digits=5) for value in entry.scalars))
 
 

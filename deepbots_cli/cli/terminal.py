@@ -1,4 +1,4 @@
-"""Output: results on stdout, everything else, such as progress, on stderr; colour on terminals only."""
+"""Output: results on stdout, everything else, such as progress, on stderr; color on terminals only."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def note(text: str) -> None:
 
 def print_error(text: str) -> None:
     """An error, on stderr."""
-    mark = "\x1b[1;31merror\x1b[0m" if uses_colour(sys.stderr) else "error"
+    mark = "\x1b[1;31merror\x1b[0m" if uses_color(sys.stderr) else "error"
     print(f"{mark}: {printable(text)}", file=sys.stderr)
 
 
@@ -76,7 +76,7 @@ def progress(unit: str = "episodes", *, always: bool = True) -> Iterator[Callabl
 
 def show_findings(findings: Sequence[Finding]) -> None:
     """Findings in full on stderr, with their number."""
-    print(render(findings, "full", uses_colour(sys.stderr), width()), end="", file=sys.stderr)
+    print(render(findings, "full", uses_color(sys.stderr), width()), end="", file=sys.stderr)
     note(summary(findings))
 
 
@@ -107,8 +107,8 @@ def json_text(data: object) -> str:
     return json.dumps(json_compatible(data), indent=2, allow_nan=False) + "\n"
 
 
-def uses_colour(stream: TextIO) -> bool:
-    """Whether to write colour to `stream`: a terminal, unless NO_COLOR is set."""
+def uses_color(stream: TextIO) -> bool:
+    """Whether to write color to `stream`: a terminal, unless NO_COLOR is set."""
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 

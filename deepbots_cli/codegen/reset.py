@@ -228,10 +228,10 @@ def _setting(variation: RandomizedParameter, vector: str, values: Sequence[str])
         case OfWalls():
             return f"self.set_walls({quoted_tuple(of)}, {values[0]})"
     owner = quoted_tuple(of)
-    if variation.what == "colour":
+    if variation.what == "color":
         which, *shares = values
-        colours = tuple_code([tuple_code([*shares[at : at + 3], "1.0"]) for at in range(0, len(shares), 3)])
-        return f"self.engine.set_parameter({quoted(variation.what)}, {owner}, *{colours}[int({which})])"
+        colors = tuple_code([tuple_code([*shares[at : at + 3], "1.0"]) for at in range(0, len(shares), 3)])
+        return f"self.engine.set_parameter({quoted(variation.what)}, {owner}, *{colors}[int({which})])"
     return f"self.engine.set_parameter({quoted(variation.what)}, {owner}, {', '.join(values)})"
 
 

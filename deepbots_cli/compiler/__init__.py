@@ -173,7 +173,7 @@ def _program(namespace: Namespace) -> Program:
             reset,
             joint_starts=joint_starts(namespace, poses),
             settle=settling_time(namespace, timestep),
-            variations=(*namespace.variations, *namespace.colours),
+            variations=(*namespace.variations, *namespace.colors),
             groups=tuple(namespace.groups.values()),
         ),
         action_repeat=action_repeat,

@@ -42,9 +42,9 @@ from deepbots_cli.expressions.unification import ANY_SHAPE, expect_value
 from deepbots_cli.program.resets import ObjectGroup, OfLink, Owner, Randomizable, RandomizedParameter
 from deepbots_cli.program.robots import Parameter
 from deepbots_cli.program.values import Expression, Noise
-from deepbots_cli.program.world import Colour
+from deepbots_cli.program.world import Color
 from deepbots_cli.scenario.base import Section
-from deepbots_cli.scenario.fields import COLOURS, Column, FieldType, Quantity, Range, colour_options, dimension_of, measure_dimension
+from deepbots_cli.scenario.fields import COLORS, Column, FieldType, Quantity, Range, color_options, dimension_of, measure_dimension
 from deepbots_cli.scenario.scenario import Scenario
 
 _MAX_NAMES_IN_CYCLE = 12
@@ -115,8 +115,8 @@ class Namespace:
         """Names in the order in which their values can be computed: each after those it is made of."""
         self.variations: list[RandomizedParameter] = []
         """Values that are drawn anew in every episode, in the order in which they were found."""
-        self.colours: list[RandomizedParameter] = []
-        """The same for colours."""
+        self.colors: list[RandomizedParameter] = []
+        """The same for colors."""
         self.built_in: dict[str, Callable[[Context], Symbol]] = {}
         """Names that the language gives, and whose type the scenario decides."""
         self._being_resolved: list[Definition] = []
@@ -283,28 +283,28 @@ class Namespace:
             std = expect_value(std, self.values.report(text), "the noise", dimension=of.type.dimension, components=components)
         return Noise(text.expression(std, per_component=components), relative) if std else None
 
-    def colour(self, section: Section, of: OfLink | None = None) -> Colour | None:
-        """The `colour` of a section, None where none is given.
+    def color(self, section: Section, of: OfLink | None = None) -> Color | None:
+        """The `color` of a section, None where none is given.
 
         Of several to draw from it is the first, and the draw becomes a randomized parameter of a body and link, `of`; without
         them, a draw is a finding.
         """
-        given = getattr(section, "colour", None)
+        given = getattr(section, "color", None)
         if given is None:
             return None
-        text, options = self.values.field(section, "colour"), [_rgba(word) for word in colour_options(given)]
+        text, options = self.values.field(section, "color"), [_rgba(word) for word in color_options(given)]
         if of is not None:
-            self.colours[:] = [each for each in self.colours if each.of != of]  # as for a link that two patterns mean
+            self.colors[:] = [each for each in self.colors if each.of != of]  # as for a link that two patterns mean
         if len(options) > 1 and of is None:
-            help = "it must be the same in every episode; give one colour"
-            self.values.add("DB407", text.span, "a random value for a colour that must be fixed", help)
+            help = "it must be the same in every episode; give one color"
+            self.values.add("DB407", text.span, "a random value for a color that must be fixed", help)
         elif len(options) > 1 and of is not None:
             single = Type(known=Known.EPISODE)
             ends = tuple(Constant(single, 0, 0, (end,)) for end in (0.0, len(options) - 1.0))
             which = Invocation(single, 0, 0, "integer", (), ends, 0)
             shades = tuple(Constant(single, 0, 0, (share,)) for option in options for share in option[:3])
             drawn = text.expression(Vector(single, 0, len(text.text), (which, *shades)))
-            self.colours.append(RandomizedParameter("colour", of, replace(drawn, owner=_owner(text, of))))
+            self.colors.append(RandomizedParameter("color", of, replace(drawn, owner=_owner(text, of))))
         return options[0]
 
     def _text_of(self, section: Section, steps: tuple[str | int, ...]) -> SourceText | None:
@@ -438,10 +438,10 @@ def _owner(text: SourceText, of: tuple[str, ...]) -> str:
     return ":".join((text.owner, *filter(None, of)))
 
 
-def _rgba(word: str) -> Colour:
+def _rgba(word: str) -> Color:
     if word.startswith("#"):
         return (int(word[1:3], 16) / 255, int(word[3:5], 16) / 255, int(word[5:7], 16) / 255, 1.0)
-    return (*COLOURS[word], 1.0)
+    return (*COLORS[word], 1.0)
 
 
 AFTER_SIGNALS = (Context.REWARD, Context.ENDING, Context.TEST)

@@ -19,7 +19,7 @@ from deepbots_cli.expressions.types import PLANE, SPACE, ComponentSelection, Con
 from deepbots_cli.footprint import Footprint, Patch
 from deepbots_cli.program.resets import MAX_SPOTS, Cells, Layout, ObjectGroup, Placement, Region, Top
 from deepbots_cli.program.values import Expression
-from deepbots_cli.program.world import MAX_BODIES, WALL_COLOUR, ObjectBody, WorldModel
+from deepbots_cli.program.world import MAX_BODIES, WALL_COLOR, ObjectBody, WorldModel
 from deepbots_cli.robots.model import Box, Cylinder, Mesh
 from deepbots_cli.scenario.scenario import MapLayout
 from deepbots_cli.scenario.scenario import Placement as PlacementSpec
@@ -512,7 +512,7 @@ class Layouts(NamespaceReader):
 
     def _build(self, name: str, cell: float, count: int) -> None:
         arena = self._world.arena
-        height, colour = (arena.wall_height, arena.colour or WALL_COLOUR) if arena else (0.1, WALL_COLOUR)
+        height, color = (arena.wall_height, arena.color or WALL_COLOR) if arena else (0.1, WALL_COLOR)
         span = self._values.key_span(("reset", "layouts"))
         bodies = len(self._world.robots) + sum(thing.bodies for thing in self._world.objects) + len(self.walls) + count
         if bodies > MAX_BODIES:
@@ -521,7 +521,7 @@ class Layouts(NamespaceReader):
             return
         group = ObjectGroup(name, count, Expression("count", span, "", _fixed(float(count), NUMBER), name))
         self._namespace.groups[name] = group
-        self.walls += [ObjectBody(copy, Box((cell, cell, height)), colour=colour, fixed=True, pooled=True) for copy in group.copies]
+        self.walls += [ObjectBody(copy, Box((cell, cell, height)), color=color, fixed=True, pooled=True) for copy in group.copies]
 
 
 def _rows(text: SourceText) -> list[list[tuple[str, Span]]]:

@@ -28,7 +28,7 @@ from deepbots_cli.robots.model import (
     Limit,
     Link,
     RobotModel,
-    with_colour,
+    with_color,
     with_density,
     with_friction,
     with_joint,
@@ -275,8 +275,8 @@ class Overrides:
             field: self.namespace.scalar_or_randomized(change, key, what, of, None, scope=self._scope())
             for key, (field, what) in _CONTACT.items()
         }
-        model, paint = with_friction(model, link.name, **contact), self.namespace.colour(change, of)
-        return with_colour(model, link.name, paint) if paint else model
+        model, paint = with_friction(model, link.name, **contact), self.namespace.color(change, of)
+        return with_color(model, link.name, paint) if paint else model
 
     def _change_density(self, model: RobotModel, link: str, change: LinkOverride) -> RobotModel:
         if change.mass is not None:

@@ -25,9 +25,9 @@ from deepbots_cli.program.world import (
     GROUND,
     MAX_BODIES,
     MAX_POINTS,
-    WALL_COLOUR,
+    WALL_COLOR,
     Arena,
-    Colour,
+    Color,
     Formula,
     Ground,
     Line,
@@ -47,7 +47,7 @@ from deepbots_cli.robots import meshes
 from deepbots_cli.robots.meshes import mesh_size
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Mesh, Pose, Shape, Sphere, volume
 from deepbots_cli.scenario import world as world_spec
-from deepbots_cli.scenario.fields import COLOURS
+from deepbots_cli.scenario.fields import COLORS
 
 
 def define_bodies(namespace: Namespace) -> None:
@@ -132,7 +132,7 @@ def _is_sensible(namespace: Namespace, place: NodePath, file: FilePath, mesh: Me
 
 
 def picture(namespace: Namespace, path: NodePath, reference: str) -> tuple[str, str] | None:
-    """The path and the digest of a grey picture; None after a finding."""
+    """The path and the digest of a gray picture; None after a finding."""
     span = namespace.values.span(path)
     found = locate_file(reference, span, namespace.document, namespace.values)
     if found is None:
@@ -140,7 +140,7 @@ def picture(namespace: Namespace, path: NodePath, reference: str) -> tuple[str, 
     data = read_at_most(found, MAX_PICTURE_BYTES + 1)
     wrong = picture_problem(data)
     if wrong is not None:
-        namespace.values.add("DB103", span, wrong, "save it as a grey PNG of 8 or 16 bits, without interlacing")
+        namespace.values.add("DB103", span, wrong, "save it as a gray PNG of 8 or 16 bits, without interlacing")
         return None
     namespace.files[path] = found
     return str(found), hashlib.sha256(data).hexdigest()
@@ -163,7 +163,7 @@ def _line(name: str, spec: world_spec.Line, namespace: Namespace) -> Line | None
     if points is None or width is None or reflectance is None:
         namespace.values.mark_invalid(name)
         return None
-    return Line(name, points, spec.closed, width, reflectance, namespace.colour(spec) or (*COLOURS["black"], 1.0))
+    return Line(name, points, spec.closed, width, reflectance, namespace.color(spec) or (*COLORS["black"], 1.0))
 
 
 def _points(spec: world_spec.Line | world_spec.Wall, namespace: Namespace) -> tuple[Point, ...] | None:
@@ -201,13 +201,13 @@ def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[Ob
     if points is None or height is None or thickness is None or friction is None:
         namespace.values.mark_invalid(name)
         return ()
-    paint = namespace.colour(spec) or WALL_COLOUR
+    paint = namespace.color(spec) or WALL_COLOR
     boxes = []
     for piece, one, other in zip(names, points, ends, strict=False):
         heading = math.atan2(other[1] - one[1], other[0] - one[0])
         middle = ((one[0] + other[0]) / 2, (one[1] + other[1]) / 2, height / 2)
         box = Box((math.dist(one, other) + thickness, thickness, height))  # so that corners are closed
-        boxes.append(ObjectBody(piece, box, Pose(middle, (0.0, 0.0, heading)), colour=paint, friction=friction, fixed=True))
+        boxes.append(ObjectBody(piece, box, Pose(middle, (0.0, 0.0, heading)), color=paint, friction=friction, fixed=True))
     return boxes
 
 
@@ -219,7 +219,7 @@ _FORMULA_SAMPLES = 8  # places along either side at which a formula is tried
 def terrain(given: world_spec.Terrain, namespace: Namespace) -> Terrain | None:
     """The terrain; None after a finding."""
     friction = namespace.scalar_or_randomized(given, "friction", "lateral_friction", OfLink(GROUND), 1.0)
-    paint = namespace.colour(given, OfLink(GROUND))
+    paint = namespace.color(given, OfLink(GROUND))
     relief = _relief(given, namespace)
     return None if relief is None else Terrain(relief, friction, paint)
 
@@ -282,7 +282,7 @@ def _at(heights: Scalar, place: dict[str, float]) -> Scalar:
 
 
 _WATER_DENSITY = 1000.0  # kg/m^3, the default density of objects
-_DEFAULT_COLOUR: Colour = (*COLOURS["grey"], 1.0)
+_DEFAULT_COLOR: Color = (*COLORS["gray"], 1.0)
 _OF_ALL = ("solid", "spinning_friction", "rolling_friction", "restitution")
 
 
@@ -308,7 +308,7 @@ def _body(name: str, thing: world_spec.Material, made: Shape, namespace: Namespa
         name,
         made,
         mass=variants[0].mass if variants else _mass(thing, made, of, namespace),
-        colour=(None if variants else namespace.colour(thing, of)) or _DEFAULT_COLOUR,
+        color=(None if variants else namespace.color(thing, of)) or _DEFAULT_COLOR,
         fixed=bool(thing.fixed),
         solid=thing.solid is not False,
         friction=1.0 if variants else value(thing, "friction", "lateral_friction", of, 1.0),
@@ -329,9 +329,7 @@ def _variant(kind: str, given: world_spec.ShapedBody, thing: world_spec.VariedOb
     made = shape(given, namespace)
     if made is None:
         return None
-    massive, rough, painted, still = (
-        given if getattr(given, key) is not None else thing for key in ("mass", "friction", "colour", "fixed")
-    )
+    massive, rough, painted, still = (given if getattr(given, key) is not None else thing for key in ("mass", "friction", "color", "fixed"))
     weight = namespace.fixed(massive, "mass", known=Known.EPISODE)
     grip = namespace.fixed(rough, "friction", known=Known.EPISODE)
     stays = bool(still.fixed)
@@ -339,7 +337,7 @@ def _variant(kind: str, given: world_spec.ShapedBody, thing: world_spec.VariedOb
         kind,
         made,
         mass=_usual_mass(made, given, namespace, still=stays or thing.solid is False) if massive.mass is None else weight or 0.0,
-        colour=namespace.colour(painted) or _DEFAULT_COLOUR,
+        color=namespace.color(painted) or _DEFAULT_COLOR,
         friction=1.0 if grip is None else grip,
         fixed=stays,
     )
@@ -444,13 +442,13 @@ def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) 
 
 
 def _ground(spec: world_spec.Ground, namespace: Namespace) -> Ground:
-    of, contact = OfLink(GROUND), [field for field in fields(Ground) if field.name != "colour"]
+    of, contact = OfLink(GROUND), [field for field in fields(Ground) if field.name != "color"]
     whats = {field.name: "lateral_friction" if field.name == "friction" else field.name for field in contact}
     found: dict[str, Any] = {
         field.name: namespace.scalar_or_randomized(spec, field.name, cast("LinkParameter", whats[field.name]), of, field.default)
         for field in contact
     }
-    return Ground(**found, colour=namespace.colour(spec, of))
+    return Ground(**found, color=namespace.color(spec, of))
 
 
 def _arena(spec: world_spec.Arena, namespace: Namespace) -> Arena | None:
@@ -458,4 +456,4 @@ def _arena(spec: world_spec.Arena, namespace: Namespace) -> Arena | None:
     friction = namespace.scalar_or_randomized(spec, "friction", "walls_friction", OfWalls(ARENA_WALLS), 1.0)
     if size is None or height is None or thickness is None:
         return None
-    return Arena(size, height, thickness, friction, namespace.colour(spec))
+    return Arena(size, height, thickness, friction, namespace.color(spec))

@@ -20,7 +20,7 @@ from deepbots_cli.diagnostics.registry import RULES, Severity
 Format = Literal["full", "concise", "json"]
 
 _TAB = "    "
-_COLOURS = {"error": "\x1b[1;31m", "warning": "\x1b[1;33m", "label": "\x1b[1;36m", "frame": "\x1b[1;34m", "bold": "\x1b[1m"}
+_COLORS = {"error": "\x1b[1;31m", "warning": "\x1b[1;33m", "label": "\x1b[1;36m", "frame": "\x1b[1;34m", "bold": "\x1b[1m"}
 _MAX_SENTENCE = 600
 # Control characters, marks that reverse or hide the text after them, and characters that XML forbids.
 _UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ud800-\udfff\ufeff\ufffe\uffff]")
@@ -50,16 +50,16 @@ def message(finding: Finding) -> str:
     return "\n".join(map(shortened, [finding.headline, *finding.notes, *([f"help: {finding.help}"] if finding.help else [])]))
 
 
-def render(findings: Iterable[Finding], format: Format = "full", colour: bool = False, width: int = 100) -> str:
+def render(findings: Iterable[Finding], format: Format = "full", color: bool = False, width: int = 100) -> str:
     """The findings as text that ends with a line feed; empty if there are none, except for `json`.
 
-    `full` crops source lines to `width` columns; only `full` uses `colour`.
+    `full` crops source lines to `width` columns; only `full` uses `color`.
     """
     if format == "json":
         return _json(list(findings))
     if format == "concise":
         return "".join(f"{_concise(finding)}\n" for finding in findings)
-    return "".join(f"{_Painter(colour, width).full(finding)}\n" for finding in findings)
+    return "".join(f"{_Painter(color, width).full(finding)}\n" for finding in findings)
 
 
 def summary(findings: Iterable[Finding]) -> str:
@@ -116,8 +116,8 @@ def _place(span: Span) -> dict[str, object]:
 class _Painter:
     """Draws one finding with its source lines, in the manner of compilers."""
 
-    def __init__(self, colour: bool, width: int) -> None:
-        self.colour = colour
+    def __init__(self, color: bool, width: int) -> None:
+        self.color = color
         self.width = max(width, 40)
 
     def full(self, finding: Finding) -> str:
@@ -159,7 +159,7 @@ class _Painter:
         yield f"{' ' * gutter} {bar}"
 
     def paint(self, what: str, text: str) -> str:
-        return f"{_COLOURS[what]}{text}\x1b[0m" if self.colour else text
+        return f"{_COLORS[what]}{text}\x1b[0m" if self.color else text
 
 
 class _Line:

@@ -222,7 +222,7 @@ _WHERE = re.compile(r"where\(\s*([^,]{1,80}?)\s*,\s*([^(),]{1,40}?)\s*,\s*([^(),
 _DRAW_SIGNS = {"uniform": "..", "integer": "..", "normal": "+-", "choice": "|"}
 _HAS_COLON = re.compile(r"\s*:")
 _HIDDEN = re.compile(r":?[ \t]+(#[^\s#]\S*)")
-_COLOUR = re.compile(r"#[0-9A-Fa-f]{6}")
+_COLOR = re.compile(r"#[0-9A-Fa-f]{6}")
 _NEXT_LINE = re.compile(r"[^\n]*\n(?:[ \t]*(?:#[^\n]*)?\r?\n)*([ ]*)[^\s#}\]]")
 _COMMA_HELP = "inside brackets, a comma separates keys: write decimals with a point, group digits as in 100_000, and "
 
@@ -276,7 +276,7 @@ def report_empty_value(key: ScalarNode, value: ScalarNode, findings: Findings, *
         help = _COMMA_HELP + "put a value with a comma in quotes, several values in `[...]`"
     elif hidden:
         help = f'a `#` after a space begins a comment; put the value in quotes: "{hidden[1]}"'
-        if _COLOUR.fullmatch(hidden[1]) and not is_flow:
+        if _COLOR.fullmatch(hidden[1]) and not is_flow:
             fix = Fix((Edit(Span(key.span.source, *hidden.span(1)), f'"{hidden[1]}"'),), safe=True)
     elif not is_flow and following and len(following[1]) == key.span.start_position.column - 1:
         help = "write a value, or indent the lines that belong to this key"

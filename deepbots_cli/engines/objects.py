@@ -9,11 +9,11 @@ from typing import Generic, ParamSpec, Protocol, TypeVar
 from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import IDENTITY_FRAME, Frame
-from deepbots_cli.program.world import ARENA_WALLS, WALL_COLOUR, Arena, ObjectBody
+from deepbots_cli.program.world import ARENA_WALLS, WALL_COLOR, Arena, ObjectBody
 from deepbots_cli.robots.model import Box, Friction, Geometry, Inertial, Link, Pose, RobotModel, homogeneous_inertial, with_link
 
-# Of links that state no colour, in turn.
-LINK_COLOURS = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))
+# Of links that state no color, in turn.
+LINK_COLORS = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))
 ROOT_MASS_FRACTION = 1e-6  # the mass of a root that has none, of what is held to it; its inertia as of a mass 1 m away
 
 
@@ -24,14 +24,14 @@ def is_movable(body: ObjectBody) -> bool:
 
 def forms_of(body: ObjectBody) -> dict[str, ObjectBody]:
     """The object in each of its variants, by their names; by its own if it has none."""
-    fields = ("shape", "mass", "colour", "friction", "fixed")
+    fields = ("shape", "mass", "color", "friction", "fixed")
     shown = {v.name: replace(body, variants=(), **{what: getattr(v, what) for what in fields}) for v in body.variants}
     return shown or {body.name: body}
 
 
 def as_robot(body: ObjectBody) -> RobotModel:
     """The object as a robot of one link with the object's name; the inertia of a mesh is 0, for the engine to find."""
-    seen = Geometry(body.shape, colour=body.colour)
+    seen = Geometry(body.shape, color=body.color)
     link = Link(
         name=body.name,
         inertial=homogeneous_inertial(body.shape, body.mass) or Inertial(body.mass),
@@ -56,7 +56,7 @@ def arena_walls(arena: Arena) -> tuple[ObjectBody, ...]:
             name=name,
             shape=Box((along_x, along_y, height)),
             pose=Pose((at_x, at_y, height / 2)),
-            colour=arena.colour or WALL_COLOUR,
+            color=arena.color or WALL_COLOR,
             friction=arena.friction,
             fixed=True,
         )

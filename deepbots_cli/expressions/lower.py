@@ -93,7 +93,7 @@ def lower(value: Typed, owner: str, per_component: Components | None = None) -> 
 
 def stream_name(name: str) -> str:
     """The name of the stream of a draw that is called `name` after its place in the scenario; `runtime.streams` says where they differ."""
-    return re.sub(r"^reset\.joints\.", "reset.set.", name)
+    return re.sub(r"\.color(?=:)", ".colour", re.sub(r"^reset\.joints\.", "reset.set.", name))
 
 
 def constant_values(value: Typed) -> tuple[float | bool, ...] | None:

@@ -16,11 +16,11 @@ from deepbots_cli.learning.episodes import by_drawn_value
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.robots.model import Cylinder, Sphere
 from deepbots_cli.rollout import Episode
-from deepbots_cli.view.frames import COLOURS, LinkName
+from deepbots_cli.view.frames import COLORS, LinkName
 from deepbots_cli.view.plots import (
     THEMES,
     TrainingLog,
-    ending_colours,
+    ending_colors,
     plot_band,
     plot_endings,
     plot_evaluation,
@@ -59,10 +59,10 @@ def returns(logs: Sequence[TrainingLog], theme: str) -> Figure:
     """Returns of training episodes, the mean over seeds with a band from the lowest to the highest, and evaluations."""
     figure, ((panel,),) = _figure(theme, 2.9)
     label = "training episodes" if len(logs) == 1 else f"training episodes, mean of {len(logs)} seeds"
-    plot_band(panel, [log.returns for log in logs if log.returns is not None], {"color": COLOURS[0], "label": label})
-    plot_evaluations(panel, logs, COLOURS[1], "evaluations during the training")
+    plot_band(panel, [log.returns for log in logs if log.returns is not None], {"color": COLORS[0], "label": label})
+    plot_evaluations(panel, logs, COLORS[1], "evaluations during the training")
     for log in logs:
-        plot_evaluation(panel, None, log, COLOURS[1])
+        plot_evaluation(panel, None, log, COLORS[1])
     return _with_legend(figure, style_panel(panel, "return", theme, stages=[logs]))
 
 
@@ -72,9 +72,9 @@ def successes(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     if not curves:
         return None
     figure, ((panel,),) = _figure(theme, 2.9)
-    plot_band(panel, curves, {"color": COLOURS[2], "label": "success rate"})
+    plot_band(panel, curves, {"color": COLORS[2], "label": "success rate"})
     for log in logs:
-        plot_evaluation(None, panel, log, COLOURS[1])
+        plot_evaluation(None, panel, log, COLORS[1])
     panel.set_ylim(-0.03, 1.03)
     style_panel(panel, "success rate of training episodes", theme, legend=False, stages=[logs])
     return figure
@@ -92,8 +92,8 @@ def shares(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     known = [[log.terms[term] for log in logs if term in log.terms] for term in terms]
     sizes = np.array([np.mean([np.interp(at, steps, np.abs(values)) for steps, values in each], axis=0) for each in known])
     figure, ((panel,),) = _figure(theme, 2.9)
-    colours = [styles[term]["color"] for term in terms]
-    panel.stackplot(at, sizes / np.maximum(sizes.sum(axis=0), 1e-12), labels=terms, colors=colours, alpha=0.85, linewidth=0)
+    colors = [styles[term]["color"] for term in terms]
+    panel.stackplot(at, sizes / np.maximum(sizes.sum(axis=0), 1e-12), labels=terms, colors=colors, alpha=0.85, linewidth=0)
     panel.set_ylim(0, 1)
     return _with_legend(figure, style_panel(panel, "size of each reward term, share of all", theme, stages=[logs]))
 
@@ -103,7 +103,7 @@ def endings(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     if not any(log.endings for log in logs):
         return None
     figure, ((panel,),) = _figure(theme, 2.9)
-    plot_endings(panel, logs, ending_colours(logs))
+    plot_endings(panel, logs, ending_colors(logs))
     return _with_legend(figure, style_panel(panel, "endings, share of training episodes", theme, stages=[logs]))
 
 
@@ -121,10 +121,8 @@ def starts(episodes: Sequence[Episode], theme: str, *, success_defined: bool) ->
         drawn = [episode for episode in episodes if name in episode.drawn]
         words = sorted({str(episode.drawn[name]) for episode in drawn}) if isinstance(drawn[0].drawn[name], str) else []
         at = [words.index(str(episode.drawn[name])) if words else float(episode.drawn[name]) for episode in drawn]
-        colours = [(SUCCESS if episode.is_success else FAILURE) if success_defined else COLOURS[0] for episode in drawn]
-        panel.scatter(
-            at, [episode.total_return for episode in drawn], s=12, c=colours, alpha=0.8, linewidths=0, rasterized=len(drawn) > 300
-        )
+        colors = [(SUCCESS if episode.is_success else FAILURE) if success_defined else COLORS[0] for episode in drawn]
+        panel.scatter(at, [episode.total_return for episode in drawn], s=12, c=colors, alpha=0.8, linewidths=0, rasterized=len(drawn) > 300)
         for part in bins[name]:
             low, high = (words.index(str(end)) if words else float(end) for end in (part.low, part.high))
             middle, wide = (low + high) / 2, high > low
@@ -163,7 +161,7 @@ def trajectories(
             _draw_surroundings(panel, world, fixed, theme)
         labelled = [each for each in shown if each.label]
         for each in [*(each for each in shown if not each.label), *labelled]:
-            _draw_episode(panel, plane, each, moving, COLOURS[labelled.index(each) if each.label else 6], theme)
+            _draw_episode(panel, plane, each, moving, COLORS[labelled.index(each) if each.label else 6], theme)
         panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         panel.locator_params(axis="x", nbins=_MAX_TICKS)
         style_panel(panel, "", theme, legend=False, axes=(f"{'xyz'[plane[0]]}, m", f"{'xyz'[plane[1]]}, m"))
@@ -174,7 +172,7 @@ def trajectories(
     return figure
 
 
-def _draw_episode(panel: Any, plane: tuple[int, int], shown: ReportEpisode, moving: Moving, colour: str, theme: str) -> None:
+def _draw_episode(panel: Any, plane: tuple[int, int], shown: ReportEpisode, moving: Moving, color: str, theme: str) -> None:
     ground = THEMES[theme][0]
     width, alpha = (2.0, 1.0) if shown.label else (0.9, 0.7)
     for part in [*moving.parts, *moving.targets]:
@@ -183,14 +181,14 @@ def _draw_episode(panel: Any, plane: tuple[int, int], shown: ReportEpisode, movi
         xs, ys = shown.positions[part].T[list(plane)]
         is_target, is_first = part in moving.targets, _base(part) == _base(moving.parts[0])
         if is_target:
-            panel.plot(xs[-1:], ys[-1:], "*", color=colour, markersize=9, alpha=alpha, markeredgecolor=ground, markeredgewidth=0.5)
+            panel.plot(xs[-1:], ys[-1:], "*", color=color, markersize=9, alpha=alpha, markeredgecolor=ground, markeredgewidth=0.5)
         if not is_target or has_moved(shown.positions[part]):
             style = {"linestyle": "-", "linewidth": width} if is_first else {"linestyle": ":", "linewidth": 1.2}
-            panel.plot(xs, ys, color=colour, alpha=alpha, label=shown.title if shown.label and part == moving.parts[0] else "", **style)
+            panel.plot(xs, ys, color=color, alpha=alpha, label=shown.title if shown.label and part == moving.parts[0] else "", **style)
         if not is_target:
-            panel.plot(xs[:1], ys[:1], "o", color=colour, markerfacecolor=ground, markersize=5 if is_first else 3)
+            panel.plot(xs[:1], ys[:1], "o", color=color, markerfacecolor=ground, markersize=5 if is_first else 3)
         if is_first:
-            panel.plot(xs[-1:], ys[-1:], "o" if shown.is_success else "X", color=colour, markersize=6)
+            panel.plot(xs[-1:], ys[-1:], "o" if shown.is_success else "X", color=color, markersize=6)
 
 
 def _base(part: LinkName) -> str:

@@ -245,9 +245,9 @@ class Report:
         yield "successes", f"{mean}{seeds}{diamond if defined else ''}", figures.successes(logs, theme)
         yield "shares", "The absolute sum of each term over an episode, as a share of all.", figures.shares(logs, theme)
         yield "endings", f"How episodes of the training end. {mean}", figures.endings(logs, theme)
-        colours = "green: success, orange: no success; " if defined else ""
+        colors = "green: success, orange: no success; " if defined else ""
         caption = (
-            f"Each point is an evaluation episode ({colours}{len(outcomes):,} in all). Bars are means over parts of the range, with 95 % "
+            f"Each point is an evaluation episode ({colors}{len(outcomes):,} in all). Bars are means over parts of the range, with 95 % "
             "intervals. Values in SI units, those with the largest effect first."
         )
         yield "starts", caption, figures.starts(outcomes, theme, success_defined=defined)

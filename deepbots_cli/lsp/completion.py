@@ -36,9 +36,9 @@ from deepbots_cli.lsp.lookup import (
 from deepbots_cli.lsp.workspace import CursorView, DocumentAnalysis
 from deepbots_cli.scenario.base import Kinds, MappingOf, Section, example_of, hover_text, section_description, section_fields
 from deepbots_cli.scenario.fields import (
-    COLOURS,
+    COLORS,
     MEASURES,
-    Color,
+    ColorValue,
     Column,
     Expression,
     FieldType,
@@ -204,8 +204,8 @@ def _field_choices(view: CursorView, field: FieldType, path: NodePath) -> Iterat
             yield from _words(words, "a word of the language")
         case Flag():
             yield from _words(("true", "false"), "a switch")
-        case Color():
-            yield from (Choice(word, CompletionItemKind.Color, "a colour") for word in COLOURS)
+        case ColorValue():
+            yield from (Choice(word, CompletionItemKind.Color, "a color") for word in COLORS)
         case Reference() | Pattern():
             yield from _named(view, field, path)
         case FilePath(kind=kind):

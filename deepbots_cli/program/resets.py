@@ -216,7 +216,7 @@ class RandomizedParameter:
     """A value that is drawn anew in every episode, such as the `mass` of `OfLink("dog", "trunk")`.
 
     The nominal value stands where the parameter belongs in the program. A single value stands for all of `size` values. `max` cuts
-    values off, one limit per value. The first value of a `colour` is the number of one of the colours after it, three shares each.
+    values off, one limit per value. The first value of a `color` is the number of one of the colors after it, three shares each.
     """
 
     what: Randomizable

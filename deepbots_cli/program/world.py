@@ -19,16 +19,16 @@ GROUND = "ground"
 ARENA_WALLS = ("front wall", "back wall", "left wall", "right wall")
 
 Point = tuple[float, float]
-Colour = tuple[float, float, float, float]
+Color = tuple[float, float, float, float]
 """Red, green, blue and opacity, 0 to 1."""
 
 WorldParameter = Literal["gravity", "light"]
-LinkParameter = Literal["mass", "lateral_friction", "spinning_friction", "rolling_friction", "restitution", "colour"]
+LinkParameter = Literal["mass", "lateral_friction", "spinning_friction", "rolling_friction", "restitution", "color"]
 JointParameter = Literal["joint_damping", "joint_friction"]
 EngineParameter = WorldParameter | LinkParameter | JointParameter
 """What an engine sets anew for an episode; `port.Engine.set_parameter` gives the units."""
 
-WALL_COLOUR: Colour = (0.55, 0.60, 0.68, 1.0)
+WALL_COLOR: Color = (0.55, 0.60, 0.68, 1.0)
 """Of walls, unless they are given one."""
 
 
@@ -38,7 +38,7 @@ class Ground:
 
     friction: float = 1.0
     restitution: float = 0.0
-    colour: Colour | None = None
+    color: Color | None = None
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Pit:
 
 @dataclass(frozen=True)
 class Picture:
-    """Heights from a grey PNG, black at 0 and white at `height` (m); its first row is the farthest along y.
+    """Heights from a gray PNG, black at 0 and white at `height` (m); its first row is the farthest along y.
 
     The path of the file, its digest (sha256, hex), and what it covers along x and y (m), around the origin.
     """
@@ -80,7 +80,7 @@ class Terrain:
 
     shape: TerrainShape
     friction: float = 1.0
-    colour: Colour | None = None
+    color: Color | None = None
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Line:
     closed: bool
     width: float
     reflectance: float = 0.0
-    colour: Colour = (0.1, 0.1, 0.1, 1.0)
+    color: Color = (0.1, 0.1, 0.1, 1.0)
 
     @property
     def pieces(self) -> tuple[tuple[Point, Point], ...]:
@@ -117,7 +117,7 @@ class Arena:
     wall_height: float
     wall_thickness: float = 0.01
     friction: float = 1.0
-    colour: Colour | None = None
+    color: Color | None = None
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class Variant:
     name: str
     shape: Shape
     mass: float = 0.0
-    colour: tuple[float, float, float, float] = (0.7, 0.7, 0.7, 1.0)
+    color: tuple[float, float, float, float] = (0.7, 0.7, 0.7, 1.0)
     friction: float = 1.0
     fixed: bool = False
 
@@ -137,14 +137,14 @@ class ObjectBody:
     """A body that is no robot. Mass in kg; a fixed one never moves, one that is not solid is only seen.
 
     A pooled one is absent after a reset, until it is placed. With `variants` it takes the form of one of them, of the
-    first unless another is chosen, and its own shape, mass, colour, friction and `fixed` mean nothing.
+    first unless another is chosen, and its own shape, mass, color, friction and `fixed` mean nothing.
     """
 
     name: str
     shape: Shape
     pose: Pose = Pose()
     mass: float = 0.0
-    colour: Colour = (0.7, 0.7, 0.7, 1.0)
+    color: Color = (0.7, 0.7, 0.7, 1.0)
     friction: float = 1.0
     fixed: bool = False
     solid: bool = True

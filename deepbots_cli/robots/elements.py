@@ -142,7 +142,7 @@ class Element:
         return x, y, z
 
     def rgba(self) -> tuple[float, float, float, float]:
-        """The four numbers of a colour."""
+        """The four numbers of a color."""
         red, green, blue, alpha = self._numbers("rgba", None, 4)
         return red, green, blue, alpha
 

@@ -17,7 +17,7 @@ from deepbots_cli import frames
 from deepbots_cli.frames import Matrix, diagonal, product, rotate_tensor, rotation_matrix, transposed
 
 Vector = tuple[float, float, float]
-Colour = tuple[float, float, float, float]
+Color = tuple[float, float, float, float]
 """Red, green, blue and alpha, 0 to 1."""
 JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
 ZERO: Vector = (0.0, 0.0, 0.0)
@@ -112,7 +112,7 @@ class Geometry:
 
     shape: Shape
     origin: Pose = Pose()
-    colour: Colour | None = None
+    color: Color | None = None
 
 
 FRICTION_TAGS = ("lateral_friction", "spinning_friction", "rolling_friction", "restitution")
@@ -330,8 +330,8 @@ def to_urdf(model: RobotModel) -> str:
     `reader.read_bytes(write(model).encode(), ...)` gives the same model again. This text, never the user's own file, is what an engine
     loads.
     """
-    colours: dict[Colour, str] = {}
-    links = [line for link in model.links for line in _link(link, colours)]
+    colors: dict[Color, str] = {}
+    links = [line for link in model.links for line in _link(link, colors)]
     joints = [line for joint in model.joints for line in _joint(joint)]
     return "\n".join(['<?xml version="1.0" encoding="utf-8"?>', *_element("robot", [*links, *joints], name=model.name), ""])
 
@@ -349,11 +349,11 @@ def _value(value: str | float | tuple[float, ...]) -> str:
     return f'"{text.translate(_ESCAPES)}"'
 
 
-def _link(link: Link, colours: dict[Colour, str]) -> Lines:
+def _link(link: Link, colors: dict[Color, str]) -> Lines:
     inside = _inertial(link.inertial) if link.inertial else []
     for tag, geometries in (("visual", link.visuals), ("collision", link.collisions)):
         for geometry in geometries:
-            inside += _geometry(tag, geometry, colours)
+            inside += _geometry(tag, geometry, colors)
     return _element("link", inside + _friction(link.friction), name=link.name)
 
 
@@ -367,12 +367,12 @@ def _origin(pose: Pose) -> Lines:
     return _element("origin", xyz=pose.xyz, rpy=pose.rpy)
 
 
-def _geometry(tag: str, geometry: Geometry, colours: dict[Colour, str]) -> Lines:
+def _geometry(tag: str, geometry: Geometry, colors: dict[Color, str]) -> Lines:
     inside = [*_origin(geometry.origin), *_element("geometry", _shape(geometry.shape))]
-    if geometry.colour:
-        # Engines look materials up by name in the whole file: one name must mean one colour.
-        name = colours.setdefault(geometry.colour, f"colour_{len(colours)}")
-        inside += _element("material", _element("color", rgba=geometry.colour), name=name)
+    if geometry.color:
+        # Engines look materials up by name in the whole file: one name must mean one color.
+        name = colors.setdefault(geometry.color, f"color_{len(colors)}")
+        inside += _element("material", _element("color", rgba=geometry.color), name=name)
     return _element(tag, inside)
 
 
@@ -454,10 +454,10 @@ def with_friction(model: RobotModel, link: str, **parameters: float | None) -> R
     return with_link(model, replace(old, friction=replace(old.friction, **given)))
 
 
-def with_colour(model: RobotModel, link: str, colour: Colour) -> RobotModel:
-    """The link with all its visuals in one colour; a link without visuals shows its collision shapes."""
+def with_color(model: RobotModel, link: str, color: Color) -> RobotModel:
+    """The link with all its visuals in one color; a link without visuals shows its collision shapes."""
     old = model.link(link)
-    return with_link(model, replace(old, visuals=tuple(replace(visual, colour=colour) for visual in old.visuals or old.collisions)))
+    return with_link(model, replace(old, visuals=tuple(replace(visual, color=color) for visual in old.visuals or old.collisions)))
 
 
 def with_joint(
@@ -532,7 +532,7 @@ def _stretched(old: Geometry, scale: Vector) -> Geometry:
     if max(abs(own[0][1]), abs(own[0][2]), abs(own[1][2])) > _ALIGNMENT_TOLERANCE * max(scale):
         raise _ShapeError("it is turned against the axes of the link, which would make it oblique")
     shape = _stretched_shape(old.shape, (own[0][0], own[1][1], own[2][2]))
-    return Geometry(shape, replace(old.origin, xyz=_along(old.origin.xyz, scale)), old.colour)
+    return Geometry(shape, replace(old.origin, xyz=_along(old.origin.xyz, scale)), old.color)
 
 
 def _stretched_shape(shape: Shape, scale: Vector) -> Shape:

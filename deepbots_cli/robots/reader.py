@@ -21,7 +21,7 @@ from deepbots_cli.robots.model import (
     FRICTION_TAGS,
     Box,
     Capsule,
-    Colour,
+    Color,
     Cylinder,
     Friction,
     Geometry,
@@ -235,8 +235,8 @@ def _named(root: Element, tag: str) -> dict[str, Element]:
 
 def _model(root: Element, links: dict[str, Element], joints: dict[str, Element], meshes: MeshReader) -> RobotModel | None:
     """The whole model, or None after an error."""
-    colours = _colours(root)
-    read_links = [_link(element, name, colours, meshes) for name, element in links.items()]
+    colors = _colors(root)
+    read_links = [_link(element, name, colors, meshes) for name, element in links.items()]
     read_joints = {name: joint for name, element in joints.items() if (joint := _joint(element, name))}
     complete = len(read_joints) == len(root.find_all("joint")) and _check_references(read_joints, links, joints)
     base = _root_link(read_joints, links, joints) if complete else None
@@ -249,26 +249,26 @@ def _model(root: Element, links: dict[str, Element], joints: dict[str, Element],
 # Links
 
 
-def _colours(root: Element) -> dict[str, Colour]:
-    """The colours of named materials, first of the robot, then of its visuals."""
-    named: dict[str, Colour] = {}
+def _colors(root: Element) -> dict[str, Color]:
+    """The colors of named materials, first of the robot, then of its visuals."""
+    named: dict[str, Color] = {}
     holders = [root, *(visual for link in root.find_all("link") for visual in link.find_all("visual"))]
     for material in (material for holder in holders for material in holder.find_all("material")):
-        name, colour = material.attributes.get("name"), _colour(material)
-        if name and colour:
-            named.setdefault(name, colour)
+        name, color = material.attributes.get("name"), _color(material)
+        if name and color:
+            named.setdefault(name, color)
     return named
 
 
-def _colour(material: Element) -> Colour | None:
-    """The material's own colour, each part clipped to 0 to 1."""
+def _color(material: Element) -> Color | None:
+    """The material's own color, each part clipped to 0 to 1."""
     element = material.find_one("color")
     if element is None:
         return None
-    colour = element.rgba()
-    if any(not 0 <= part <= 1 for part in colour):
-        element.warn("a colour outside 0 to 1 is cut off", attribute="rgba", help="divide by 255")
-    red, green, blue, alpha = (min(max(part, 0.0), 1.0) for part in colour)
+    color = element.rgba()
+    if any(not 0 <= part <= 1 for part in color):
+        element.warn("a color outside 0 to 1 is cut off", attribute="rgba", help="divide by 255")
+    red, green, blue, alpha = (min(max(part, 0.0), 1.0) for part in color)
     return red, green, blue, alpha
 
 
@@ -285,8 +285,8 @@ def _pose(element: Element) -> Pose:
     return Pose(origin.vector("xyz", (0.0, 0.0, 0.0)), rpy)
 
 
-def _link(element: Element, name: str, colours: dict[str, Colour], meshes: MeshReader) -> Link:
-    visuals = [_geometry(visual, meshes, _visual_colour(visual, colours)) for visual in element.find_all("visual")]
+def _link(element: Element, name: str, colors: dict[str, Color], meshes: MeshReader) -> Link:
+    visuals = [_geometry(visual, meshes, _visual_color(visual, colors)) for visual in element.find_all("visual")]
     collisions = [_geometry(collision, meshes) for collision in element.find_all("collision")]
     return Link(name, _inertial(element), tuple(filter(None, visuals)), tuple(filter(None, collisions)), _friction(element))
 
@@ -310,15 +310,15 @@ def _inertial(link: Element) -> Inertial | None:
     )
 
 
-def _visual_colour(visual: Element, named: dict[str, Colour]) -> Colour | None:
-    """The colour inside the visual, else the colour of the material that it names."""
+def _visual_color(visual: Element, named: dict[str, Color]) -> Color | None:
+    """The color inside the visual, else the color of the material that it names."""
     material = visual.find_one("material")
     if material is None:
         return None
-    return _colour(material) if material.find_all("color") else named.get(material.attributes.get("name", ""))
+    return _color(material) if material.find_all("color") else named.get(material.attributes.get("name", ""))
 
 
-def _geometry(holder: Element, meshes: MeshReader, colour: Colour | None = None) -> Geometry | None:
+def _geometry(holder: Element, meshes: MeshReader, color: Color | None = None) -> Geometry | None:
     element = holder.require_one("geometry")
     if element is None:
         return None
@@ -329,7 +329,7 @@ def _geometry(holder: Element, meshes: MeshReader, colour: Colour | None = None)
     for extra in shapes[1:]:
         extra.warn("a further shape in the same <geometry> is not read", help="give it a <visual> or <collision> of its own")
     shape = _mesh(shapes[0], meshes) if shapes[0].tag == "mesh" else _solid(shapes[0], holder.tag)
-    return Geometry(shape, _pose(holder), colour) if shape else None
+    return Geometry(shape, _pose(holder), color) if shape else None
 
 
 def _solid(element: Element, holder: str) -> Shape | None:

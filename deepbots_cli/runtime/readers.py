@@ -311,7 +311,7 @@ def reflectance(site: Site) -> Instrument:
 
 # Cameras
 
-_GREY_WEIGHTS = np.array([0.299, 0.587, 0.114], np.float32)
+_GRAY_WEIGHTS = np.array([0.299, 0.587, 0.114], np.float32)
 """How bright red, green and blue are (ITU-R BT.601)."""
 
 
@@ -354,8 +354,8 @@ def _bytes(values: NDArray[Any]) -> Image:
 
 
 _PICTURES: dict[str, Callable[[CameraImage, CameraIntrinsics], Image]] = {
-    "rgb": lambda image, _: image.colours,
-    "grayscale": lambda image, _: _bytes(np.asarray(image.colours @ _GREY_WEIGHTS)),
+    "rgb": lambda image, _: image.colors,
+    "grayscale": lambda image, _: _bytes(np.asarray(image.colors @ _GRAY_WEIGHTS)),
     "depth": _depth,
     "segmentation": _segmentation,
 }

@@ -2,7 +2,7 @@
 
 Each stream is named by its place in the scenario (`parameters.fall_angle#0`), and its seed depends on the root and that name alone. A new
 draw in a scenario therefore changes no other draw. A new name would be a new seed, and so other episodes than those of all results so
-far: the streams of `reset.joints` are therefore still called `reset.set` (`expressions.lower.stream_name`).
+far: streams of `reset.joints` are therefore still called `reset.set`, those of `color` `colour` (`expressions.lower.stream_name`).
 """
 
 from __future__ import annotations

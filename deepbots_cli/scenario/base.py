@@ -137,7 +137,10 @@ class InsteadOf:
 
 
 def key_instead_of(section: type[Section], word: str) -> str | None:
-    """The key of a section that `word` is written for."""
+    """The key of a section that `word` is written for: one with this note, or the same word in American spelling."""
+    american = word.replace("colour", "color")
+    if american != word and american in section.model_fields:
+        return american
     notes = ((key, note) for key, info in section.model_fields.items() for note in info.metadata)
     return next((key for key, note in notes if isinstance(note, InsteadOf) and word in note.words), None)
 

@@ -714,10 +714,10 @@ class Name(FieldType):
         return {"pattern": f"^{NAME_PATTERN}$", "title": "name", "patternErrorMessage": about}
 
 
-COLOURS = {
+COLORS = {
     "black": (0.1, 0.1, 0.1),
     "white": (0.95, 0.95, 0.95),
-    "grey": (0.6, 0.6, 0.6),
+    "gray": (0.6, 0.6, 0.6),
     "red": (0.85, 0.2, 0.2),
     "green": (0.25, 0.65, 0.3),
     "blue": (0.2, 0.4, 0.8),
@@ -733,28 +733,28 @@ COLOURS = {
 """Red, green and blue of each word, from 0 to 1."""
 
 
-def colour_options(text: str) -> list[str]:
-    """The colours of a choice, or the single colour."""
+def color_options(text: str) -> list[str]:
+    """The colors of a choice, or the single color."""
     drawn = re.fullmatch(r"choice\(([^()]*)\)", text.strip())
     return [part.strip() for part in drawn[1].split("|")] if drawn else [text.strip()]
 
 
-class Color(FieldType):
-    """A word of `COLOURS`, `"#rrggbb"`, or a choice of them per episode."""
+class ColorValue(FieldType):
+    """A word of `COLORS`, `"#rrggbb"`, or a choice of them per episode."""
 
-    noun = "a colour"
+    noun = "a color"
 
     def check(self, value: Any) -> None:
-        for word in colour_options(value):
-            if word not in COLOURS and not re.fullmatch(r"#[0-9a-fA-F]{6}", word):
-                help = f"{choices_help(word, tuple(COLOURS))}, or write `'#ffa500'`"
-                near = suggest_replacement(word, tuple(COLOURS), of_language=True) if word == value else None
-                raise error("DB104", f"unknown colour `{word[:40]}`", help, replacement=near)
+        for word in color_options(value):
+            if word not in COLORS and not re.fullmatch(r"#[0-9a-fA-F]{6}", word):
+                help = f"{choices_help(word, tuple(COLORS))}, or write `'#ffa500'`"
+                near = suggest_replacement(word, tuple(COLORS), of_language=True) if word == value else None
+                raise error("DB104", f"unknown color `{word[:40]}`", help, replacement=near)
 
     def json_schema(self) -> JsonSchema:
-        words = "|".join(COLOURS)
+        words = "|".join(COLORS)
         schema = self._matching(rf"^\s*(#[0-9a-fA-F]{{6}}|choice\(.*\)|{words})\s*$")
-        return schema | {"patternErrorMessage": "expected a colour: a word such as `red`, `'#ffa500'`, or `choice(red | green)`"}
+        return schema | {"patternErrorMessage": "expected a color: a word such as `red`, `'#ffa500'`, or `choice(red | green)`"}
 
 
 # What a training takes
@@ -853,7 +853,7 @@ RandomizableCoordinate = Annotated[Scalar, Quantity("length", known="episode")]
 RandomizableAngle = Annotated[Scalar, Quantity("angle", known="episode", words=("any",))]
 RandomizableCount = Annotated[Scalar, Quantity("number", known="episode", minimum=0, whole=True)]
 
-Colour = Annotated[str, Color()]
+Color = Annotated[str, ColorValue()]
 SharedName = Annotated[str, Name(shared=True)]
 LocalName = Annotated[str, Name()]
 JointPattern = Annotated[str, Pattern("joint")]

@@ -42,7 +42,7 @@ from deepbots_cli.scenario.base import (
     section_fields,
     unit_of,
 )
-from deepbots_cli.scenario.fields import COLOURS, Color, Expression, FieldType, FilePath, Name, Pattern, Range, Reference, Word
+from deepbots_cli.scenario.fields import COLORS, ColorValue, Expression, FieldType, FilePath, Name, Pattern, Range, Reference, Word
 from deepbots_cli.scenario.scenario import VERSION, Robot, Scenario
 
 Json = dict[str, Any]
@@ -83,7 +83,7 @@ Names = Mapping[str, OfferedNames]
 _LANGUAGE: Names = {
     "robot file": OfferedNames(dict.fromkeys(shipped.robot_names(), "a robot that comes with deepbots")),
     "region": OfferedNames({"arena": "the floor of the arena"}),
-    "colour": OfferedNames(dict.fromkeys(COLOURS, "")),
+    "color": OfferedNames(dict.fromkeys(COLORS, "")),
     "known range": OfferedNames({"auto": "the interval that is known of the value"}),
 }
 
@@ -105,8 +105,8 @@ def names_key_of(shape: Shape) -> str:
             return f"{kind} pattern"
         case Expression(context=context):
             return f"{context} expression"
-        case Color():
-            return "colour"
+        case ColorValue():
+            return "color"
         case Range(auto=True):
             return "known range"
         case _:
@@ -210,8 +210,8 @@ class _Writer:
         schema, offer = shape.json_schema(), self._names.get(names_key_of(shape))
         if offer is None or not offer.names:
             return self._shared("name", schema) if isinstance(shape, Name) else schema
-        if isinstance(shape, Color):
-            return self._shared("colour", offer.added_to(schema, shape.noun))
+        if isinstance(shape, ColorValue):
+            return self._shared("color", offer.added_to(schema, shape.noun))
         if isinstance(shape, Reference) and shape.several:
             one = offer.added_to({"type": "string"}, shape.noun)
             return schema | {"items": one, "anyOf": [{"title": shape.noun, "type": "array"}, *one.get("anyOf", ())]}
@@ -298,7 +298,7 @@ class _Writer:
         default = section.model_fields[key].default
         if isinstance(default, (str, int, float)) and default != "":
             schema["default"] = default
-        example, listed = example_of(section, key), isinstance(shape, (Word, Color)) or "anyOf" in schema or own
+        example, listed = example_of(section, key), isinstance(shape, (Word, ColorValue)) or "anyOf" in schema or own
         if example and type(example.data) in (str, int, float) and example.data != default and not listed:
             escaped = re.sub(r"([\\$}])", r"\\\1", example.text)
             schema["defaultSnippets"] = [{"label": example.text, "body": f"${{1:{escaped}}}"}]

@@ -13,7 +13,7 @@ from deepbots_cli.scenario.fields import (
     BodyName,
     Bool,
     Bounds,
-    Colour,
+    Color,
     Expression,
     FilePath,
     JointPattern,
@@ -65,8 +65,8 @@ class LinkOverride(Section):
     """Friction against rolling."""
     restitution: RandomizableShare | None = None
     """Share of the speed that a bounce keeps, 0 to 1."""
-    colour: Colour | None = None
-    """Colour of the link."""
+    color: Color | None = None
+    """Color of the link."""
 
 
 class JointOverride(Section):

@@ -392,9 +392,6 @@ def _help_for_unknown(data: object, path: NodePath) -> str | None:
     others = [name for name, model in kinds.models.items() if key in model.model_fields] if isinstance(kinds, Kinds) else []
     if others:
         return f"it is a key of {_listed(others)}; {here}"
-    british = key.replace("color", "colour")
-    if british != key and british in known:
-        return f"write `{british}`: keys are in British English"
     near = nearest_word(key, known)
     belongs = _nearest_home(parent, key)
     if belongs is not None and (near is None or near.replace("_", "") != key.lower().replace("_", "")):

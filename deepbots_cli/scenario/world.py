@@ -9,7 +9,7 @@ from deepbots_cli.scenario.base import KeyCount, Kinds, Many, Section, Size
 from deepbots_cli.scenario.fields import (
     Area,
     Bool,
-    Colour,
+    Color,
     Expression,
     FilePath,
     LocalName,
@@ -40,8 +40,8 @@ class Ground(Section):
     """Coulomb's coefficient of friction."""
     restitution: RandomizableShare = 0
     """Share of the speed that a bounce keeps, 0 to 1."""
-    colour: Colour | None = None
-    """Colour in pictures: a word, or `'#rrggbb'`."""
+    color: Color | None = None
+    """Color in pictures: a word, or `'#rrggbb'`."""
 
 
 class Arena(Section):
@@ -55,8 +55,8 @@ class Arena(Section):
     """Thickness of the walls, m."""
     friction: RandomizableFactor = 1.0
     """Friction of the walls."""
-    colour: Colour | None = None
-    """Colour of the walls."""
+    color: Color | None = None
+    """Color of the walls."""
 
 
 class Wall(Section):
@@ -72,8 +72,8 @@ class Wall(Section):
     """Thickness, m."""
     friction: RandomizableFactor = 1.0
     """Friction of its sides."""
-    colour: Colour | None = None
-    """Colour of the wall."""
+    color: Color | None = None
+    """Color of the wall."""
 
 
 class Line(Section):
@@ -87,8 +87,8 @@ class Line(Section):
     """Width of the stroke, m."""
     reflectance: Share = 0
     """Reflectance of the paint, 0 (black) to 1 (white)."""
-    colour: Colour = "black"
-    """Colour in pictures."""
+    color: Color = "black"
+    """Color in pictures."""
 
 
 class Terrain(Section):
@@ -98,8 +98,8 @@ class Terrain(Section):
     """Kind of terrain."""
     friction: RandomizableFactor = 1.0
     """Friction of the ground."""
-    colour: Colour | None = None
-    """Colour of the ground."""
+    color: Color | None = None
+    """Color of the ground."""
 
 
 class Pit(Terrain):
@@ -115,7 +115,7 @@ class Pit(Terrain):
 
 
 class Heightfield(Terrain):
-    """Heights from a grey picture."""
+    """Heights from a gray picture."""
 
     type: Literal["heightfield"]
     file: Annotated[str, FilePath("picture")]
@@ -238,8 +238,8 @@ class Material(Section):
 
     mass: Annotated[Scalar, Quantity("mass", known="episode", minimum=0, exclusive=True)] | None = None
     """Mass, kg; by default the mass of water in this shape. A mesh that can move needs a mass."""
-    colour: Colour | None = None
-    """Colour: a word, `'#rrggbb'`, or `choice(red | green)`."""
+    color: Color | None = None
+    """Color: a word, `'#rrggbb'`, or `choice(red | green)`."""
     friction: RandomizableFactor | None = None
     """Coulomb's coefficient of friction."""
     spinning_friction: RandomizableFactor | None = None

@@ -27,8 +27,8 @@ from deepbots_cli.runtime.actuation import Push
 from deepbots_cli.runtime.messages import Channel, FieldCodec, LossyChannel
 from deepbots_cli.runtime.placement import Arrangement
 
-COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8a8a8a", "#a58b00")
-"""Of Okabe and Ito, which colour-blind people can tell apart; grey for black."""
+COLORS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8a8a8a", "#a58b00")
+"""Of Okabe and Ito, which color-blind people can tell apart; gray for black."""
 
 Image = NDArray[np.uint8]
 LinkName = tuple[str, str]
@@ -71,9 +71,9 @@ class SensorRays(NamedTuple):
         free, (origin, turn) = np.array(frame.rays[key])[:, None], frame.links[self.part]
         axes = np.array([frames.rotate(turn, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))])
         near = np.clip(1 - free / self.reach, 0.0, 1.0)
-        colours = np.concatenate([20 + 200 * near, 150 - 110 * near, 60 - 20 * near], axis=1)
+        colors = np.concatenate([20 + 200 * near, 150 - 110 * near, 60 - 20 * near], axis=1)
         ends = (self.starts, self.starts + free * self.directions)
-        return np.stack([np.concatenate([origin + end @ axes, colours], axis=1) for end in ends], axis=1).astype(np.float32)
+        return np.stack([np.concatenate([origin + end @ axes, colors], axis=1) for end in ends], axis=1).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,7 @@ from deepbots_cli.runtime.overview import extent, follows_robot, shift_beside, v
 from deepbots_cli.view import panel, plots, server
 from deepbots_cli.view.batch import BatchPlayer
 from deepbots_cli.view.episodes import Player, Showing, ShowingState, file_stamps
-from deepbots_cli.view.frames import COLOURS, AgentFrame, Image, PlottedField, WorldFrame
+from deepbots_cli.view.frames import COLORS, AgentFrame, Image, PlottedField, WorldFrame
 from deepbots_cli.view.manual_input import ManualInput
 from deepbots_cli.view.recordings import record
 from deepbots_cli.view.replay import ReplayPlayer
@@ -420,7 +420,7 @@ class Page:
         limits: tuple[float, float] | None = None,
     ) -> tuple[Any, Sequence[PlottedValue], Sequence[int] | None]:
         """An empty plot over the step: a named line for each value of each world, by default of the chosen world."""
-        lines = [{"label": name, "stroke": colour, "width": 1.5} for name, colour in zip(names, COLOURS, strict=False)]
+        lines = [{"label": name, "stroke": color, "width": 1.5} for name, color in zip(names, COLORS, strict=False)]
         scales: dict[str, Any] = {"x": {"time": False}}  # steps would be shown as dates
         if limits is not None:
             margin = 0.03 * (limits[1] - limits[0]) or 1.0
@@ -678,10 +678,10 @@ class Page:
         agent = self._agent_in(frame)
         state = (frame.ending or ("press a key to begin" if self._waiting else "running")) + (" (paused)" if self.paused else "")
         state = f"{self._title(number)}: {state}" if self._compare else state
-        colour = ("#009E73" if frame.is_success else "#E69F00" if frame.truncated else "#D55E00") if frame.ended_by else "#0072B2"
+        color = ("#009E73" if frame.is_success else "#E69F00" if frame.truncated else "#D55E00") if frame.ended_by else "#0072B2"
         numbers = f"episode {self.episode + player.world}, step {frame.step}, {frame.time:.2f} s, return {agent.episode_return:.2f}"
         note = f"<br>{html.escape(player.note)}" if player.note else ""
-        return panel.notice(state, f"{numbers}{note}{self._score()}", colour)
+        return panel.notice(state, f"{numbers}{note}{self._score()}", color)
 
     def _score(self) -> str:
         if not self._playing:

@@ -61,9 +61,9 @@ def message_rows(layout: FrameLayout, frame: WorldFrame, others: Collection[str]
             yield _row(entry.name, "" if value is None else entry.text(value))
 
 
-def notice(title: str, text: str, colour: str) -> str:
+def notice(title: str, text: str, color: str) -> str:
     return (
-        f"<div style='margin:0.4em 0.8em;padding:0.4em 0.7em;border-left:0.35em solid {colour};background:rgba(128,128,128,0.12)'>"
+        f"<div style='margin:0.4em 0.8em;padding:0.4em 0.7em;border-left:0.35em solid {color};background:rgba(128,128,128,0.12)'>"
         f"<b>{html.escape(title)}</b><div style='font-size:0.85em'>{text}</div></div>"
     )
 
@@ -91,8 +91,8 @@ def _bar(field: PlottedField, value: float) -> str:
     """A number with a mark where it is in its range."""
     share = (value - field.low) / (field.high - field.low) if field.high > field.low else 0.5
     at = 100 * min(1.0, max(0.0, share if math.isfinite(share) else 0.5))
-    colour = "#0072B2" if -1e-6 <= share <= 1 + 1e-6 else "#D55E00"
-    mark = f"<div style='position:absolute;left:calc({at:.0f}% - 2px);width:4px;height:0.7em;background:{colour}'></div>"
+    color = "#0072B2" if -1e-6 <= share <= 1 + 1e-6 else "#D55E00"
+    mark = f"<div style='position:absolute;left:calc({at:.0f}% - 2px);width:4px;height:0.7em;background:{color}'></div>"
     tip = html.escape(f"{field.text(field.low)} .. {field.text(field.high)}", quote=True)
     rail = f"<div title='{tip}' style='position:relative;margin-left:0.6em;height:0.7em;background:rgba(128,128,128,0.25)'>{mark}</div>"
     return _row(field.name, field.text(value), rail)

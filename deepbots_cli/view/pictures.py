@@ -24,7 +24,7 @@ from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.runtime.overview import overview, view_around
 from deepbots_cli.view import trajectories
 from deepbots_cli.view.episodes import Player
-from deepbots_cli.view.frames import COLOURS, WorldFrame
+from deepbots_cli.view.frames import COLORS, WorldFrame
 
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".mp4", ".gif", ".html")
 _GIF_FRAME_RATE, _MP4_FRAME_RATE, _PAGE_FRAME_RATE = 12.5, 30.0, 20.0  # pictures per second
-_GIF_COLOURS = 96
-_GIF_SHADE = 8  # of 256: shades that are closer count as one colour
+_GIF_COLORS = 96
+_GIF_SHADE = 8  # of 256: shades that are closer count as one color
 _SUPERSAMPLING = 2  # pictures are drawn so many times as large, and reduced
 _LABEL_SPACING_PX = 18  # px between two labels
 _MIN_HALF_SIDE_M = 0.02  # m; half the side of the smallest view from above
@@ -91,7 +91,7 @@ def render_picture(
 
     Args:
         labels: Whether to name the links of robots, each with the joint that moves it. Without `eye`, the view is on the robots.
-        rays: Whether to draw the rays of sensors, coloured by what they read.
+        rays: Whether to draw the rays of sensors, colored by what they read.
         path: Frames of an episode. Paints the paths of what moves in it (`trajectories`). Without `eye`, the view is from above, or from
             the side of a path that climbs.
     """
@@ -212,7 +212,7 @@ def _box_of_object(thing: ObjectBody, frame: WorldFrame) -> Bounds:
 
 
 def _rgba(number: int, opacity: int = 255) -> tuple[int, int, int, int]:
-    text = COLOURS[number % len(COLOURS)]
+    text = COLORS[number % len(COLORS)]
     return int(text[1:3], 16), int(text[3:5], 16), int(text[5:7], 16), opacity
 
 
@@ -225,10 +225,10 @@ def _paint_path(draw: ImageDraw, project: Callable[[Triple], Point | None], show
             for x, y in _spaced(pixels, 3 * radius):
                 draw.ellipse((x - radius / 3, y - radius / 3, x + radius / 3, y + radius / 3), fill=_GOAL)
         for x, y in pixels[-1:]:
-            for width, colour in ((6, _WHITE), (3, _GOAL)):
+            for width, color in ((6, _WHITE), (3, _GOAL)):
                 for side in (-1, 1):
                     reach = 1.4 * radius
-                    draw.line((x - reach, y - side * reach, x + reach, y + side * reach), fill=colour, width=width * _SUPERSAMPLING)
+                    draw.line((x - reach, y - side * reach, x + reach, y + side * reach), fill=color, width=width * _SUPERSAMPLING)
     for number, points in enumerate(shown.moving.values()):
         pixels = _pixels(project, points)
         if not pixels:
@@ -259,10 +259,10 @@ def _spaced(pixels: Sequence[Point], distance: float) -> Iterator[Point]:
 def _write_legend(draw: ImageDraw, shown: PaintedPath) -> None:
     """The names of what moves and of the goals, each beside its color; none where a single thing moves."""
     entries = [(name, _rgba(number)) for number, name in enumerate(shown.moving)] + [(name, _GOAL) for name in shown.goals]
-    for row, (name, colour) in enumerate(entries if len(entries) > 1 or "." in entries[0][0] else []):
+    for row, (name, color) in enumerate(entries if len(entries) > 1 or "." in entries[0][0] else []):
         y = 8 + 18 * row
         _write(draw, (26, y), name)
-        draw.ellipse((9, y + 2, 19, y + 12), fill=colour, outline=_WHITE)
+        draw.ellipse((9, y + 2, 19, y + 12), fill=color, outline=_WHITE)
 
 
 def _paint_labels(draw: ImageDraw, project: Callable[[Triple], Point | None], player: Player, shot: Viewpoint) -> None:
@@ -367,9 +367,9 @@ def write_gif(path: Path, pictures: Iterator[Any], rate: float) -> None:
     pixels = np.concatenate([np.asarray(image)[::2, ::2].reshape(-1, 3) for image in images[:: max(1, len(images) // 8)]])
     _, shades, counts = np.unique(pixels // _GIF_SHADE, axis=0, return_inverse=True, return_counts=True)
     means = np.stack([np.bincount(shades.ravel(), channel) / counts for channel in pixels.T], axis=1)
-    # A robot is small: by counts of pixels, floor and sky would take its colours (a blue cart turned black).
+    # A robot is small: by counts of pixels, floor and sky would take its colors (a blue cart turned black).
     sample = Image.fromarray(np.repeat(np.rint(means).astype(np.uint8), np.sqrt(counts).astype(int), axis=0)[None])
-    palette = sample.quantize(_GIF_COLOURS, method=Image.Quantize.MEDIANCUT, kmeans=2)
+    palette = sample.quantize(_GIF_COLORS, method=Image.Quantize.MEDIANCUT, kmeans=2)
     small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     pause = [*[max(20, round(1000 / rate))] * (len(small) - 1), 1200]
     small[0].save(path, format="GIF", save_all=True, append_images=small[1:], duration=pause, loop=0, optimize=True, disposal=1)

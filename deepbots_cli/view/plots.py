@@ -21,7 +21,7 @@ from deepbots_cli.learning.episodes import read_log
 from deepbots_cli.learning.run import EvaluationRecord, RunRecord, changed_settings, run_folders, short_settings
 from deepbots_cli.learning.verdict import quoted_evaluation
 from deepbots_cli.rollout.source import SourceKind, folder_kind
-from deepbots_cli.view.frames import COLOURS
+from deepbots_cli.view.frames import COLORS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".png", ".svg")
 _MAX_CURVE_POINTS = 200  # of a curve
-_MAX_COLOURED_ENDINGS = 20  # that have a colour of their own
+_MAX_COLORED_ENDINGS = 20  # that have a color of their own
 _MAX_STAGES = 100  # that are marked
 _MAX_LOG_BYTES = 1 << 28  # of a log
 _LINE_STYLES = ("-", "--", "-.", ":")
@@ -111,7 +111,7 @@ def _read_run(path: Path, window: int) -> TrainingLog:
     log.stages = stage_starts(record, episodes)
     log.returns = _averaged(episodes, episodes.returns, window, log.stages)
     endings = episodes.endings.astype(str)
-    common = [name for name, _ in Counter(endings.tolist()).most_common(_MAX_COLOURED_ENDINGS)]
+    common = [name for name, _ in Counter(endings.tolist()).most_common(_MAX_COLORED_ENDINGS)]
     shares = {name or "unknown": endings == name for name in common} | {"others": ~np.isin(endings, common)}
     log.endings = {name: _averaged(episodes, share.astype(float), window, log.stages) for name, share in shares.items() if share.any()}
     if found := quoted_evaluation(path, record):
@@ -251,8 +251,8 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
     groups: dict[str, list[TrainingLog]] = {}
     for log in logs:
         groups.setdefault(log.group, []).append(log)
-    if len(groups) > len(COLOURS):
-        raise UsageError(f"{len(groups)} scenarios are too many for one plot; at most {len(COLOURS)} can be told apart")
+    if len(groups) > len(COLORS):
+        raise UsageError(f"{len(groups)} scenarios are too many for one plot; at most {len(COLORS)} can be told apart")
     detailed = [members for members in groups.values() if any(log.terms or log.endings for log in members)]
     figure = Figure(figsize=(10.0, 3.4 + 2.7 * len(detailed)), layout="constrained", facecolor=THEMES[theme][0])
     axes = figure.subplots(1 + len(detailed), 2, squeeze=False)
@@ -265,12 +265,12 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
     for number, members in enumerate(shown):
         name = members[0].name
         label = name if len(members) == 1 else f"{name} ({len(members)} seeds)"
-        style: dict[str, Any] = {"color": COLOURS[number], "linestyle": _LINE_STYLES[number % len(_LINE_STYLES)], "label": label}
+        style: dict[str, Any] = {"color": COLORS[number], "linestyle": _LINE_STYLES[number % len(_LINE_STYLES)], "label": label}
         plot_band(returns, [log.returns for log in members if log.returns is not None], style)
         plot_band(successes, [log.successes for log in members if log.successes is not None], style)
-        plot_evaluations(returns, members, COLOURS[number])
+        plot_evaluations(returns, members, COLORS[number])
         for log in members:
-            plot_evaluation(returns, successes, log, COLOURS[number])
+            plot_evaluation(returns, successes, log, COLORS[number])
     marks = {"dots": any(log.evaluations for log in logs), "diamond": any(log.evaluation for log in logs)}
     named = ", ".join(mark for mark, is_there in marks.items() if is_there)
     title = f"return of training episodes{f'; {named}: evaluations' if named else ''}"
@@ -281,7 +281,7 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
     else:
         successes.remove()
         returns.set_subplotspec(returns.get_gridspec()[0, :])
-    styles, endings = term_styles(logs), ending_colours(logs)
+    styles, endings = term_styles(logs), ending_colors(logs)
     for (left, right), members in zip(axes[1:], detailed, strict=True):
         name = f"{members[0].name}: " if len(groups) > 1 else ""
         for term in sorted({term for log in members for term in log.terms}):
@@ -302,25 +302,25 @@ def term_styles(logs: Sequence[TrainingLog]) -> dict[str, dict[str, Any]]:
     terms = sorted({term for log in logs for term in log.terms})
     return {
         term: {
-            "color": COLOURS[number % len(COLOURS)],
-            "linestyle": _LINE_STYLES[number // len(COLOURS) % len(_LINE_STYLES)],
+            "color": COLORS[number % len(COLORS)],
+            "linestyle": _LINE_STYLES[number // len(COLORS) % len(_LINE_STYLES)],
             "label": term,
         }
         for number, term in enumerate(terms)
     }
 
 
-def ending_colours(logs: Sequence[TrainingLog]) -> dict[str, str]:
+def ending_colors(logs: Sequence[TrainingLog]) -> dict[str, str]:
     """The color of each ending, the same wherever it is drawn; the most frequent endings come first, and paler colors after the eighth."""
     shares = Counter[str]()
     for log in logs:
         shares.update({name: float(np.nanmean(curve[1])) for name, curve in log.endings.items()})
     names = [name for name, _ in shares.most_common()]
-    return {name: _paler(COLOURS[number % len(COLOURS)], number // len(COLOURS)) for number, name in enumerate(names)}
+    return {name: _paler(COLORS[number % len(COLORS)], number // len(COLORS)) for number, name in enumerate(names)}
 
 
-def _paler(colour: str, rounds: int) -> str:
-    parts = [int(colour[place : place + 2], 16) for place in (1, 3, 5)]
+def _paler(color: str, rounds: int) -> str:
+    parts = [int(color[place : place + 2], 16) for place in (1, 3, 5)]
     return "#" + "".join(f"{round(255 - (255 - part) * 0.6**rounds):02x}" for part in parts)
 
 
@@ -336,7 +336,7 @@ def plot_band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) ->
         panel.fill_between(at, rows.min(axis=0), rows.max(axis=0), color=style["color"], alpha=0.22, linewidth=0)
 
 
-def plot_evaluations(panel: Axes, logs: Sequence[TrainingLog], colour: str, label: str = "") -> None:
+def plot_evaluations(panel: Axes, logs: Sequence[TrainingLog], color: str, label: str = "") -> None:
     """The evaluations during trainings: a dot each, and a mark of its own for each stage of a curriculum, which the legend names."""
     names = list(dict.fromkeys(start.name for log in logs for start in log.stages))
     found = [
@@ -349,17 +349,17 @@ def plot_evaluations(panel: Axes, logs: Sequence[TrainingLog], colour: str, labe
         steps, values = zip(*((at, value) for at, value, own in found if own == name), strict=True)
         mark = _MARKS[names.index(name) % len(_MARKS)] if name else _MARKS[0]
         text = f"evaluations in stage {name}" if name else label
-        panel.plot(steps, values, mark, color=colour, markersize=4, alpha=0.8, linestyle="none", label=text)
+        panel.plot(steps, values, mark, color=color, markersize=4, alpha=0.8, linestyle="none", label=text)
 
 
-def plot_evaluation(returns: Axes | None, successes: Axes | None, log: TrainingLog, colour: str) -> None:
+def plot_evaluation(returns: Axes | None, successes: Axes | None, log: TrainingLog, color: str) -> None:
     """A diamond at the end of the training, in the panel of returns and of success rates."""
     found = log.evaluation
     if found is None or log.returns is None:
         return
     for panel, value in ((returns, found.mean_return), (successes, found.success_rate if found.success_defined else None)):
         if panel is not None and value is not None:
-            panel.plot(log.returns[0][-1], value, "D", color=colour, markersize=6, markeredgecolor="white", clip_on=False, zorder=3)
+            panel.plot(log.returns[0][-1], value, "D", color=color, markersize=6, markeredgecolor="white", clip_on=False, zorder=3)
 
 
 def _common_steps(curves: Sequence[Curve]) -> NDArray[np.float64]:
@@ -370,8 +370,8 @@ def _common_steps(curves: Sequence[Curve]) -> NDArray[np.float64]:
     return np.union1d(np.linspace(first, last, _MAX_CURVE_POINTS), breaks[(breaks > first) & (breaks < last)])
 
 
-def plot_endings(panel: Axes, logs: Sequence[TrainingLog], colours: Mapping[str, str]) -> None:
-    """How episodes end, as moving shares, means over seeds; `colours` are those of `ending_colours`."""
+def plot_endings(panel: Axes, logs: Sequence[TrainingLog], colors: Mapping[str, str]) -> None:
+    """How episodes end, as moving shares, means over seeds; `colors` are those of `ending_colors`."""
     curves = [curve for log in logs for curve in log.endings.values()]
     if not curves:
         return
@@ -381,7 +381,7 @@ def plot_endings(panel: Axes, logs: Sequence[TrainingLog], colours: Mapping[str,
         for name in {name: None for endings in members for name in endings}
     }
     names = sorted(found, key=lambda name: -np.nansum(found[name]))
-    panel.stackplot(at, [found[name] for name in names], labels=names, colors=[colours[name] for name in names], alpha=0.85, linewidth=0)
+    panel.stackplot(at, [found[name] for name in names], labels=names, colors=[colors[name] for name in names], alpha=0.85, linewidth=0)
     panel.set_ylim(0, 1)
 
 
@@ -393,21 +393,21 @@ def mark_stages(panel: Axes, groups: Sequence[Sequence[TrainingLog]], theme: str
     (low, high), width = panel.get_xlim(), _PANEL_WIDTH
     rows, key = 0, list[str]()
     for number, members in enumerate(groups):
-        colour = THEMES[theme][1] if len(groups) == 1 else COLOURS[number]
+        color = THEMES[theme][1] if len(groups) == 1 else COLORS[number]
         starts: dict[str, list[float]] = {}
         for start in (start for log in members for start in log.stages):
             starts.setdefault(start.name, []).append(start.steps)
         first = sorted((min(steps), name) for name, steps in starts.items())
         for place, (begin, name) in enumerate(first):
             for steps in starts[name] if place else ():
-                panel.axvline(steps, color=colour, linestyle=(0, (4, 3)), linewidth=0.9, alpha=0.8)
+                panel.axvline(steps, color=color, linestyle=(0, (4, 3)), linewidth=0.9, alpha=0.8)
             end = first[place + 1][0] if place + 1 < len(first) else high
             fits = (len(name) + 1) * _LETTER_WIDTH < (end - max(begin, low)) / (high - low) * width
             text = name if fits else str(place + 1)
             key += [] if fits else [f"{place + 1} {name}"]
             panel.annotate(
                 text, (max(begin, low), 1.0), (2, 2 + _ROW_HEIGHT * rows), xycoords=("data", "axes fraction"), textcoords="offset points",
-                fontsize=7, color=colour, parse_math=False,
+                fontsize=7, color=color, parse_math=False,
             ).set_in_layout(False)  # fmt: skip
         rows += bool(first)
     return rows, list(dict.fromkeys(key))

@@ -51,7 +51,7 @@ class ReplayPlayer(Player):
         """The first frame of an episode of the recording; `seed` is that of the recording."""
         first = self.recording.episodes[0].number
         self._recorded = self.recording.episode(first if episode == 0 else episode)
-        self.env.reset(seed=self._recorded.seed)  # colours and light, which frames do not hold
+        self.env.reset(seed=self._recorded.seed)  # colors and light, which frames do not hold
         return self.seek(0)
 
     def next_episode(self, episode: int) -> int:

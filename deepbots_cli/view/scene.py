@@ -24,7 +24,7 @@ from deepbots_cli.errors import EngineError
 from deepbots_cli.footprint import robot_bounds
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import ZERO_VECTOR, View
-from deepbots_cli.program.world import Colour, Line, WorldModel
+from deepbots_cli.program.world import Color, Line, WorldModel
 from deepbots_cli.robots.meshes import read_verified
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Mesh, Pose, RobotModel, Sphere
 from deepbots_cli.view.frames import FrameLayout, LinkName, WorldFrame
@@ -32,8 +32,8 @@ from deepbots_cli.view.frames import FrameLayout, LinkName, WorldFrame
 if TYPE_CHECKING:
     import viser
 
-GROUND_COLOUR: Colour = (0.95, 0.955, 0.965, 1.0)
-_DEFAULT_COLOUR: Colour = (0.72, 0.74, 0.78, 1.0)
+GROUND_COLOR: Color = (0.95, 0.955, 0.965, 1.0)
+_DEFAULT_COLOR: Color = (0.72, 0.74, 0.78, 1.0)
 _MAX_CELLS = 120  # of a terrain along either side
 _MAX_PATH = 2000  # points
 _MIN_BRIGHTNESS = 0.55  # the brightness of the lowest place of a terrain
@@ -97,21 +97,21 @@ def _contour(relief: geometry.HeightGrid, above: float) -> Points:
     return np.concatenate([part.reshape(-1, 2, 3) for part in parts]).astype(np.float32)
 
 
-def shaded_mesh(vertices: Any, faces: Any, colour: Colour) -> Any:
+def shaded_mesh(vertices: Any, faces: Any, color: Color) -> Any:
     """A surface that is darker where it is lower: light alone hardly shows a hollow that is seen from above."""
     import trimesh
 
     heights = np.asarray(vertices)[:, 2]
     share = _MIN_BRIGHTNESS + (1.0 - _MIN_BRIGHTNESS) * (heights - heights.min()) / (np.ptp(heights) or 1.0)
-    return trimesh.Trimesh(vertices, faces, vertex_colors=(share[:, None] * _rgb(colour)).astype(np.uint8), process=False)
+    return trimesh.Trimesh(vertices, faces, vertex_colors=(share[:, None] * _rgb(color)).astype(np.uint8), process=False)
 
 
 def wxyz(turn: frames.Quaternion) -> tuple[float, float, float, float]:
     return turn[3], turn[0], turn[1], turn[2]
 
 
-def _rgb(colour: Colour) -> tuple[int, int, int]:
-    return int(255 * colour[0]), int(255 * colour[1]), int(255 * colour[2])
+def _rgb(color: Color) -> tuple[int, int, int]:
+    return int(255 * color[0]), int(255 * color[1]), int(255 * color[2])
 
 
 def aim_camera(server: viser.ViserServer, view: View) -> float:
@@ -182,27 +182,27 @@ class WorldScene:
             if relief is not None:
                 surface = relief.with_at_most(_MAX_CELLS).triangles()
                 contour = _contour(relief.with_at_most(_MAX_CELLS), 0.001 * self._size)
-                self._add_lines(f"{root}/contour", contour, 110, thickness=1.0)  # a smooth relief of one colour is hard to see
+                self._add_lines(f"{root}/contour", contour, 110, thickness=1.0)  # a smooth relief of one color is hard to see
             else:
                 assert isinstance(world.terrain.shape, Mesh)  # all others are grids
                 solid = triangles(world.terrain.shape)
                 surface = solid.vertices, solid.faces
-            colour = world.terrain.colour or (0.62, 0.58, 0.50, 1.0)
-            scene.add_mesh_trimesh(f"{root}/terrain", shaded_mesh(*surface, colour))
+            color = world.terrain.color or (0.62, 0.58, 0.50, 1.0)
+            scene.add_mesh_trimesh(f"{root}/terrain", shaded_mesh(*surface, color))
         elif world.ground is not None:
-            colour = world.ground.colour or GROUND_COLOUR
+            color = world.ground.color or GROUND_COLOR
             cell = 10.0 ** math.floor(math.log10(max(self._size, 0.01) / 4))
             width = 10 * cell * max(1, round(self._size / cell)) if world.arena is None else max(world.arena.size) + 4 * cell
-            lines = tuple(int(0.88 * part) for part in _rgb(colour))
+            lines = tuple(int(0.88 * part) for part in _rgb(color))
             scene.add_grid(
                 f"{root}/ground", width, width, cell_size=cell, section_size=10 * cell, cell_color=lines, section_color=lines,
-                plane_color=_rgb(colour), plane_opacity=light, position=(0.0, 0.0, -0.0002 * self._size),
+                plane_color=_rgb(color), plane_opacity=light, position=(0.0, 0.0, -0.0002 * self._size),
             )  # fmt: skip
         for number, line in enumerate(world.lines):
             points, faces = stroke_triangles(line, 0.0004 * self._size * (1 + 0.1 * number))
-            scene.add_mesh_simple(f"{root}/lines/{number}", points, faces, color=_rgb(line.colour), side="double", cast_shadow=False)
+            scene.add_mesh_simple(f"{root}/lines/{number}", points, faces, color=_rgb(line.color), side="double", cast_shadow=False)
         for wall in objects.arena_walls(world.arena) if world.arena else ():
-            self._add(f"{root}/arena/{wall.name.replace(' ', '_')}", Geometry(wall.shape, wall.pose, wall.colour), frames.IDENTITY_FRAME)
+            self._add(f"{root}/arena/{wall.name.replace(' ', '_')}", Geometry(wall.shape, wall.pose, wall.color), frames.IDENTITY_FRAME)
 
     def _build_robot(self, name: str, model: RobotModel) -> None:
         groups = rigid_groups(model)
@@ -218,15 +218,13 @@ class WorldScene:
         part = (name, name)
         node = self._node(part)
         for form, thing in forms.items():
-            self._variants[name, form] = self._add(
-                f"{node.name}/{form}", Geometry(thing.shape, Pose(), thing.colour), frames.IDENTITY_FRAME
-            )
+            self._variants[name, form] = self._add(f"{node.name}/{form}", Geometry(thing.shape, Pose(), thing.color), frames.IDENTITY_FRAME)
         self._label(part, name)
 
-    def _add_lines(self, name: str, points: Points, colour: int = 0, *, thickness: float = 2.0, **options: Any) -> Any:
+    def _add_lines(self, name: str, points: Points, color: int = 0, *, thickness: float = 2.0, **options: Any) -> Any:
         """Line segments (n, 2, 3), `thickness` in pixels."""
-        colours = np.full(points.shape, colour, np.uint8)  # one colour for all lines, later replaced by an array, would hide them
-        return self._scene.add_line_segments(name, points, colours, thickness=thickness, thickness_units="screen", **options)
+        colors = np.full(points.shape, color, np.uint8)  # one color for all lines, later replaced by an array, would hide them
+        return self._scene.add_line_segments(name, points, colors, thickness=thickness, thickness_units="screen", **options)
 
     def _path_of(self, part: LinkName) -> str:
         return f"{self._root}/{'robots' if part[0] in self._layout.robots else 'objects'}/{part[0].replace('#', '_')}/{part[1]}"
@@ -241,16 +239,16 @@ class WorldScene:
 
     def _add(self, name: str, geometry: Geometry, within: frames.Frame) -> Any:
         """A shape at its place below a node."""
-        scene, shape, colour = self._scene, geometry.shape, geometry.colour or _DEFAULT_COLOUR
+        scene, shape, color = self._scene, geometry.shape, geometry.color or _DEFAULT_COLOR
         place, turn = frames.compose(within, frames.frame(geometry.origin))
-        options: dict[str, Any] = {"position": place, "wxyz": wxyz(turn), "opacity": None if colour[3] >= 0.99 else colour[3]}
+        options: dict[str, Any] = {"position": place, "wxyz": wxyz(turn), "opacity": None if color[3] >= 0.99 else color[3]}
         match shape:
             case Box(size):
-                return scene.add_box(name, _rgb(colour), size, **options)
+                return scene.add_box(name, _rgb(color), size, **options)
             case Sphere(radius):
-                return scene.add_icosphere(name, radius, _rgb(colour), **options)
+                return scene.add_icosphere(name, radius, _rgb(color), **options)
             case Cylinder(radius, length):
-                return scene.add_cylinder(name, radius, length, _rgb(colour), **options)
+                return scene.add_cylinder(name, radius, length, _rgb(color), **options)
             case Capsule(radius, length):
                 import trimesh
 
@@ -259,7 +257,7 @@ class WorldScene:
             case Mesh():
                 solid = triangles(shape)
         return scene.add_mesh_simple(
-            name, np.asarray(solid.vertices, np.float32), np.asarray(solid.faces, np.int32), color=_rgb(colour), side="double", **options
+            name, np.asarray(solid.vertices, np.float32), np.asarray(solid.faces, np.int32), color=_rgb(color), side="double", **options
         )
 
     # What a person chooses to see
@@ -326,10 +324,10 @@ class WorldScene:
         pieces = [((*one, height), (*other, height)) for way in paths for one, other in pairwise(way)]
         self._show_lines(self._ways, pieces if self.visible_parts["shortest path"] else [], (0, 158, 115))
 
-    def _show_lines(self, lines: Any, pieces: Sequence[Any], colour: tuple[int, int, int]) -> None:
+    def _show_lines(self, lines: Any, pieces: Sequence[Any], color: tuple[int, int, int]) -> None:
         if pieces:
             lines.points = np.array(pieces, np.float32)
-            lines.colors = np.full((len(pieces), 2, 3), colour, np.uint8)
+            lines.colors = np.full((len(pieces), 2, 3), color, np.uint8)
         lines.visible = bool(pieces)
 
     def _mark(self, frame: WorldFrame) -> None:
@@ -347,14 +345,14 @@ class WorldScene:
     def _mark_goal(self, frame: WorldFrame) -> None:
         """A point that is to be reached, and the one that is."""
         words = {"desired": ((0, 158, 115), 0.02), "achieved": ((0, 114, 178), 0.01)}
-        for (word, (colour, radius)), (name, agent) in product(words.items(), frame.agents.items()):
+        for (word, (color, radius)), (name, agent) in product(words.items(), frame.agents.items()):
             point = self._layout.goal_point(agent, word)
             if point is None:
                 continue
             dot = self._goals.get((name, word))
             if dot is None:
                 path = f"{self._root}/{word}_{name.replace('#', '_')}"
-                dot = self._goals[name, word] = self._scene.add_icosphere(path, radius * self._size, colour, opacity=0.6)
+                dot = self._goals[name, word] = self._scene.add_icosphere(path, radius * self._size, color, opacity=0.6)
             dot.position, dot.visible = point, self.visible_parts["goal"]
 
     def _mark_contacts(self, frame: WorldFrame) -> None:

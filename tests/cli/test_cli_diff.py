@@ -41,7 +41,7 @@ SINGLE = [
     ("evaluation.cases={steep: {set: {fall_angle: 10 deg}}}", "training", "evaluation.cases.steep"),
     ("name=Other", "cosmetic", "name"),
     ("summary=Other words.", "cosmetic", "summary"),
-    ("world.arena.colour=red", "cosmetic", "look of world.arena"),
+    ("world.arena.color=red", "cosmetic", "look of world.arena"),
 ]
 
 
@@ -170,8 +170,8 @@ def test_what_is_written_as_the_default_is_shown_on_both_sides(deepbots):
     assert (row["kind"], row["one"], row["other"]) == ("changed", "2", "1")
 
 
-def test_a_colour_and_a_drawn_figure_are_told_as_they_are_written(deepbots):
-    _, found = differences(deepbots, "see_ball", "see_ball", "--set", "objects.ball.colour=choice(green | orange)")
+def test_a_color_and_a_drawn_figure_are_told_as_they_are_written(deepbots):
+    _, found = differences(deepbots, "see_ball", "see_ball", "--set", "objects.ball.color=choice(green | orange)")
     (row,) = found.values()
     assert (row["one"], row["other"]) == ("choice(yellow | orange)", "choice(green | orange)")
     _, found = differences(deepbots, "cartpole", "cartpole", "--set", "robots.cart.links={pole: {mass: uniform(0.1 .. 0.2 kg)}}")
@@ -234,8 +234,8 @@ def test_a_figure_that_is_drawn_with_a_parameter_is_told_by_its_name(deepbots):
     assert "drawn mass of cart.pole\n    + heavy\n" in ran.out
 
 
-def test_colours_count_where_a_camera_sees_them(deepbots):
-    _, found = differences(deepbots, "see_ball", "see_ball", "--set", "objects.ball.colour=green")
+def test_colors_count_where_a_camera_sees_them(deepbots):
+    _, found = differences(deepbots, "see_ball", "see_ball", "--set", "objects.ball.color=green")
     assert {group for group, _ in found} == {"world"}
 
 

@@ -207,7 +207,7 @@ def test_what_fails_can_be_chosen(deepbots, tmp_path):
     assert deepbots("lint", "e.yaml", "--fail-on", "never").code == 0
 
 
-def test_colour_is_for_terminals_only(deepbots, tmp_path):
+def test_color_is_for_terminals_only(deepbots, tmp_path):
     (tmp_path / "a.yaml").write_text("deepbots: 1\n")
     assert "\x1b[" not in deepbots("lint", "a.yaml").out
 

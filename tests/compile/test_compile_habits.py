@@ -66,19 +66,19 @@ def test_other_names_stand_for_words_of_the_language_and_are_none():
 @pytest.mark.parametrize(
     "line",
     [
-        "world: {ground: {COLOUR: red}}",
-        "world: {arena: {size: 1 1 m, COLOUR: red}}",
-        "world: {walls: {fence: {points: [0.3 0.3 m, 0.3 0.4 m], height: 10 cm, COLOUR: red}}}",
-        "world: {lines: {stripe: {points: [0 0 m, 0.3 0 m], width: 2 cm, COLOUR: red}}}",
-        "robots: {cart: {links: {pole: {COLOUR: red}}}}",
-        "objects: {ball: {shape: sphere, radius: 5 cm, COLOUR: red, pose: {x: 0.3 m, z: 5 cm}}}",
+        "world: {ground: {COLOR: red}}",
+        "world: {arena: {size: 1 1 m, COLOR: red}}",
+        "world: {walls: {fence: {points: [0.3 0.3 m, 0.3 0.4 m], height: 10 cm, COLOR: red}}}",
+        "world: {lines: {stripe: {points: [0 0 m, 0.3 0 m], width: 2 cm, COLOR: red}}}",
+        "robots: {cart: {links: {pole: {COLOR: red}}}}",
+        "objects: {ball: {shape: sphere, radius: 5 cm, COLOR: red, pose: {x: 0.3 m, z: 5 cm}}}",
     ],
 )
-def test_color_is_told_and_mended_to_colour(workshop, head, line):
-    (finding,) = (found for found in workshop.lint(f"{head}{line}\n".replace("COLOUR", "color")) if found.code == "DB101")
-    assert finding.help == "write `colour`: keys are in British English"
-    assert ([edit.text for edit in finding.fix.edits], finding.fix.safe) == (["colour"], True)
-    assert "DB101" not in workshop.codes(f"{head}{line}\n".replace("COLOUR", "colour"))
+def test_a_british_colour_is_corrected(workshop, head, line):
+    (finding,) = (found for found in workshop.lint(f"{head}{line}\n".replace("COLOR", "colour")) if found.code == "DB101")
+    assert finding.help == "write `color: red`"
+    assert ([edit.text for edit in finding.fix.edits], finding.fix.safe) == (["color"], True)
+    assert "DB101" not in workshop.codes(f"{head}{line}\n".replace("COLOR", "color"))
 
 
 @pytest.mark.parametrize(

@@ -74,9 +74,9 @@ def test_a_later_figure_of_the_same_link_replaces_a_draw(workshop, cartpole) -> 
     assert varied.world.robots[0].model.link("pole").friction.lateral == 0.3
 
 
-def test_a_colour_of_a_link_is_seen_on_all_of_it(workshop, cartpole) -> None:
-    cart = model(workshop.compile(cartpole(with_cart("links: {wheel_rear_left: {colour: red}}"))))
-    assert {seen.colour for seen in cart.link("wheel_rear_left").visuals} == {(0.85, 0.2, 0.2, 1.0)}
+def test_a_color_of_a_link_is_seen_on_all_of_it(workshop, cartpole) -> None:
+    cart = model(workshop.compile(cartpole(with_cart("links: {wheel_rear_left: {color: red}}"))))
+    assert {seen.color for seen in cart.link("wheel_rear_left").visuals} == {(0.85, 0.2, 0.2, 1.0)}
 
 
 WRONG = {
@@ -144,7 +144,7 @@ def test_an_object_has_the_density_of_water_unless_it_has_a_mass(workshop, cartp
 
 
 def test_a_mark_is_seen_and_not_solid(workshop, cartpole) -> None:
-    objects = "objects:\n  spot: {shape: cylinder, radius: 2 cm, height: 1 mm, solid: false, colour: red}\nrobots:\n"
+    objects = "objects:\n  spot: {shape: cylinder, radius: 2 cm, height: 1 mm, solid: false, color: red}\nrobots:\n"
     (spot,) = workshop.compile(cartpole(("robots:\n", objects))).program.world.objects
     assert not spot.solid
 

@@ -108,13 +108,13 @@ def test_a_long_line_is_cropped_around_the_place(before: int) -> None:
     assert lines[4].endswith("^^")
 
 
-def test_colour_changes_nothing_but_the_escapes() -> None:
+def test_color_changes_nothing_but_the_escapes() -> None:
     import re
 
     found = [finding("a: 1", "a", help="b", notes=("c",))]
-    coloured = render(found, colour=True)
-    assert "\x1b[1;31m" in coloured
-    assert re.sub(r"\x1b\[[0-9;]*m", "", coloured) == render(found)
+    colored = render(found, color=True)
+    assert "\x1b[1;31m" in colored
+    assert re.sub(r"\x1b\[[0-9;]*m", "", colored) == render(found)
 
 
 @pytest.mark.parametrize("format", ["full", "concise"])

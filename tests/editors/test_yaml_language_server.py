@@ -96,12 +96,12 @@ def test_an_algorithm_is_offered_its_own_hyperparameters(typed: Type) -> None:
     ("old", "new", "words"),
     [
         ("format: csv", "format: §", {"csv", "json", "struct", "msgpack", "none"}),
-        ("friction: 1.0", "colour: §", {"red", "green", "tan"}),
+        ("friction: 1.0", "color: §", {"red", "green", "tan"}),
         ("urdf: ../robots/urdf/cartpole.urdf", "urdf: §", {"cartpole", "epuck", "rover"}),
         ("algorithm: PPO", "algorithm: SAC\n  replay: §", {"uniform", "her"}),
         ("speed:           -0.8 .. 0.8 m/s", "speed: §", {"auto"}),
     ],
-    ids=["a word", "a colour", "a shipped robot", "a word beside a mapping", "a range"],
+    ids=["a word", "a color", "a shipped robot", "a word beside a mapping", "a range"],
 )
 def test_the_words_of_a_key_are_offered(typed: Type, old: str, new: str, words: set[str]) -> None:
     assert words <= set(typed(old, new).offers)

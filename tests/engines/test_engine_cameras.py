@@ -1,4 +1,4 @@
-"""What a camera on a link sees: distances, bodies and colours, against closed forms."""
+"""What a camera on a link sees: distances, bodies and colors, against closed forms."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PIXEL = 2 * tan(FOV / 2) / HIGH
 
 
 def scout() -> RobotModel:
-    shell = (Geometry(Sphere(0.2), colour=(0.2, 0.2, 0.2, 1)),)
+    shell = (Geometry(Sphere(0.2), color=(0.2, 0.2, 0.2, 1)),)
     links = (
         Link("base", Inertial(1.0, Pose((0.05, -0.02, 0.01), (0.3, 0.2, -0.4)), 0.01, 0.002, 0.001, 0.02, -0.001, 0.025), shell, shell),
         Link("head", Inertial(0.2, Pose((0.02, 0.03, 0.0)), 0.001, 0.0, 0.0, 0.002, 0.0, 0.0015)),
@@ -32,8 +32,8 @@ def world(*objects: ObjectBody) -> WorldModel:
     return WorldModel(0.02, 1, (0.0, 0.0, 0.0), robots=(RobotBody("scout", scout(), True, Pose((0, 0, 1))),), objects=objects)
 
 
-def wall(x: float, colour=RED, **figures: object) -> ObjectBody:
-    return ObjectBody("wall", Box((0.2, 1.0, 1.0)), Pose((x + 0.1, 0, 1)), colour=colour, fixed=True, **figures)
+def wall(x: float, color=RED, **figures: object) -> ObjectBody:
+    return ObjectBody("wall", Box((0.2, 1.0, 1.0)), Pose((x + 0.1, 0, 1)), color=color, fixed=True, **figures)
 
 
 def rays() -> tuple[np.ndarray, np.ndarray]:
@@ -43,11 +43,11 @@ def rays() -> tuple[np.ndarray, np.ndarray]:
     return left[None, :], up[:, None]
 
 
-def test_a_camera_tells_distances_bodies_and_colours_pixel_by_pixel(engine_name, build):
+def test_a_camera_tells_distances_bodies_and_colors_pixel_by_pixel(engine_name, build):
     engine = build(engine_name, world(wall(2.0)))
     look = engine.camera(("scout", None), frames.IDENTITY_FRAME, WIDE, HIGH, FOV)
     image = look()
-    assert (image.colours.shape, image.colours.dtype) == ((HIGH, WIDE, 3), np.uint8)
+    assert (image.colors.shape, image.colors.dtype) == ((HIGH, WIDE, 3), np.uint8)
     assert (image.depth.shape, image.depth.dtype) == ((HIGH, WIDE), np.float32)
     assert (image.bodies.shape, image.bodies.dtype) == ((HIGH, WIDE), np.int32)
     left, up = rays()
@@ -62,8 +62,8 @@ def test_a_camera_tells_distances_bodies_and_colours_pixel_by_pixel(engine_name,
     sky = ~on_wall & ~floor
     assert (image.bodies[sky] == -1).all()
     assert (image.depth[sky] == CAMERA_RANGE_M).all()
-    assert (image.colours[on_wall][:, 0] > 2 * image.colours[on_wall][:, 1].astype(int)).all()
-    assert image.colours[floor].std() > 1.0  # tiles, by which motion is seen
+    assert (image.colors[on_wall][:, 0] > 2 * image.colors[on_wall][:, 1].astype(int)).all()
+    assert image.colors[floor].std() > 1.0  # tiles, by which motion is seen
 
 
 def test_a_camera_looks_along_its_mount_on_a_link_that_turns(engine_name, build):
@@ -81,7 +81,7 @@ def test_a_camera_looks_along_its_mount_on_a_link_that_turns(engine_name, build)
 
 
 def test_up_in_a_picture_is_up_in_the_mount(engine_name, build):
-    engine = build(engine_name, world(ObjectBody("ball", Sphere(0.1), Pose((2, 0, 1.4)), colour=GREEN)))
+    engine = build(engine_name, world(ObjectBody("ball", Sphere(0.1), Pose((2, 0, 1.4)), color=GREEN)))
     for roll, row, column in ((0.0, -1, None), (pi, 1, None), (pi / 2, None, -1)):
         image = engine.camera(("scout", None), ((0, 0, 0), quaternion(roll, 0.0, 0.0)), WIDE, HIGH, FOV)()
         rows, columns = np.where(image.bodies == image.body_names.index("ball"))
@@ -89,8 +89,8 @@ def test_up_in_a_picture_is_up_in_the_mount(engine_name, build):
         assert column is None or abs(columns.mean() - WIDE / 2 - column * 18) < 3
 
 
-def test_what_is_painted_gets_another_colour_and_what_is_absent_is_not_seen(engine_name, build):
-    ghost = ObjectBody("mark", Box((0.2, 1.0, 1.0)), colour=GREEN, solid=False, pooled=True)
+def test_what_is_painted_gets_another_color_and_what_is_absent_is_not_seen(engine_name, build):
+    ghost = ObjectBody("mark", Box((0.2, 1.0, 1.0)), color=GREEN, solid=False, pooled=True)
     engine = build(engine_name, world(ghost))
     look = engine.camera(("scout", None), frames.IDENTITY_FRAME, 40, 40, FOV)
     assert "mark" not in {look().body_names[place] for place in np.unique(look().bodies) if place >= 0}
@@ -98,21 +98,21 @@ def test_what_is_painted_gets_another_colour_and_what_is_absent_is_not_seen(engi
     middle = (19, 20)
     assert look().body_names[look().bodies[middle]] == "mark"
     assert look().depth[middle] == pytest.approx(2.0, rel=1e-4)
-    assert look().colours[middle].argmax() == 1
-    engine.set_parameter("colour", ("mark", ""), *RED)
-    assert look().colours[middle].argmax() == 0
+    assert look().colors[middle].argmax() == 1
+    engine.set_parameter("color", ("mark", ""), *RED)
+    assert look().colors[middle].argmax() == 0
     engine.set_parameter("light", (), 0.5)
-    assert look().colours[middle][0] < 200
+    assert look().colors[middle][0] < 200
     engine.reset()
     assert look().bodies[middle] == -1
 
 
 def test_a_flat_disc_is_not_shaded_as_a_cone(engine_name, build):
-    disc = ObjectBody("disc", Cylinder(0.3, 0.002), Pose((0, 0, 0.001)), colour=GREEN, fixed=True)
+    disc = ObjectBody("disc", Cylinder(0.3, 0.002), Pose((0, 0, 0.001)), color=GREEN, fixed=True)
     engine = build(engine_name, world(disc))
     engine.place("scout", (0.0, 0.0, 1.0), frames.IDENTITY_ROTATION)
     image = engine.camera(("scout", "head"), ((0.0, 0.0, -0.5), quaternion(0.0, pi / 2, 0.0)), HIGH, HIGH, 1.2)()
-    seen = image.colours[image.bodies == image.body_names.index("disc")]
+    seen = image.colors[image.bodies == image.body_names.index("disc")]
     assert len(seen) > 500
     assert (seen.max(axis=0) - seen.min(axis=0)).max() < 3
 
@@ -127,17 +127,17 @@ def test_looking_changes_nothing(engine_name, build):
             if engine is seen:
                 look()
     assert seen.joint_states("scout", ["neck"])()[0][:2] == unseen.joint_states("scout", ["neck"])()[0][:2]
-    assert (look().colours == look().colours).all()
+    assert (look().colors == look().colors).all()
 
 
-def test_lines_are_seen_painted_on_a_floor_of_its_own_colour(engine_name, build):
+def test_lines_are_seen_painted_on_a_floor_of_its_own_color(engine_name, build):
     """From 1 m above, looking straight down: a square of 1 m with a stroke of 0.1 m, closed, and a speck beside it."""
-    square = Line("track", ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)), True, 0.1, colour=RED)
-    speck = Line("speck", ((0.0, 0.0), (0.0, 0.0)), False, 0.2, colour=(0, 0, 0, 1))
-    engine = build(engine_name, replace(world(), ground=Ground(colour=GREEN), lines=(square, speck)))
+    square = Line("track", ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)), True, 0.1, color=RED)
+    speck = Line("speck", ((0.0, 0.0), (0.0, 0.0)), False, 0.2, color=(0, 0, 0, 1))
+    engine = build(engine_name, replace(world(), ground=Ground(color=GREEN), lines=(square, speck)))
     look = engine.camera(("scout", "head"), ((0.0, 0.0, -0.5), quaternion(0.0, pi / 2, 0.0)), HIGH, HIGH, 2.4)
     engine.place("scout", (0.0, 0.0, 1.0), frames.IDENTITY_ROTATION)
-    engine.set_parameter("colour", ("scout", ""), 0, 0, 1, 1)
+    engine.set_parameter("color", ("scout", ""), 0, 0, 1, 1)
     image = look()
     pixel = 2 * tan(1.2) / HIGH
     x = -pixel * (np.arange(HIGH) + 0.5 - HIGH / 2)[:, None]  # the first row is ahead
@@ -146,23 +146,23 @@ def test_lines_are_seen_painted_on_a_floor_of_its_own_colour(engine_name, build)
     largest = np.maximum(abs(x), abs(y))
     track = bare & (abs(largest - 0.5) < 0.04)
     assert track.sum() > 50
-    assert (image.colours[track].argmax(axis=-1) == 0).all()
+    assert (image.colors[track].argmax(axis=-1) == 0).all()
     beside = bare & (abs(largest - 0.5) > 0.06) & (np.hypot(x, y) > 0.12)
-    assert (image.colours[beside].argmax(axis=-1) == 1).all()
+    assert (image.colors[beside].argmax(axis=-1) == 1).all()
 
 
-def test_the_floor_gets_another_colour_until_the_next_reset(engine_name, build):
+def test_the_floor_gets_another_color_until_the_next_reset(engine_name, build):
     engine = build(engine_name, replace(world(), light=0.8))
     view = View((1.0, 1.0, 1.5), (0.0, 0.0, 0.5), 60, 40)
     look = engine.camera(("scout", None), frames.IDENTITY_FRAME, WIDE, HIGH, FOV)
-    usual, seen = engine.render(view), look().colours
-    engine.set_parameter("colour", ("ground", ""), *RED)
-    assert engine.render(view)[-1, 0].argmax() == look().colours[-1, 0].argmax() == 0
+    usual, seen = engine.render(view), look().colors
+    engine.set_parameter("color", ("ground", ""), *RED)
+    assert engine.render(view)[-1, 0].argmax() == look().colors[-1, 0].argmax() == 0
     engine.set_parameter("light", (), 0.4)
-    assert look().colours[0, 0, 2] < 0.6 * seen[0, 0, 2]
+    assert look().colors[0, 0, 2] < 0.6 * seen[0, 0, 2]
     engine.reset()
     assert (engine.render(view) == usual).all()
-    assert (look().colours == seen).all()
+    assert (look().colors == seen).all()
 
 
 def test_a_side_in_the_plane_of_the_eye_does_not_hold_up_the_picture(engine_name, build):

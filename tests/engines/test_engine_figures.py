@@ -231,12 +231,12 @@ def test_a_push_on_a_link_turns_its_joint(engine_name, frame, worlds, build):
     assert engine.joint_states("robot", ["hinge"])()[0][1] == pytest.approx(0.4 / (0.02 + 2.0 * 0.1) * 0.001, rel=1e-3)
 
 
-def test_colours_and_light_change_a_picture_until_the_next_reset(engine_name, build):
+def test_colors_and_light_change_a_picture_until_the_next_reset(engine_name, build):
     model = RobotModel(
         "lamp",
         (
             Link(
-                "lamp", None, (Geometry(Box((0.2, 0.2, 0.2)), colour=(1, 0, 0, 1)), Geometry(Sphere(0.12), Pose((0, 0, 0.1)), (0, 1, 0, 1)))
+                "lamp", None, (Geometry(Box((0.2, 0.2, 0.2)), color=(1, 0, 0, 1)), Geometry(Sphere(0.12), Pose((0, 0, 0.1)), (0, 1, 0, 1)))
             ),
             Link("arm", Inertial(0.1, ixx=0.01, iyy=0.01, izz=0.01), (Geometry(Box((0.3, 0.05, 0.05)), Pose((0.15, 0, 0)), (0, 0, 1, 1)),)),
         ),
@@ -246,8 +246,8 @@ def test_colours_and_light_change_a_picture_until_the_next_reset(engine_name, bu
     engine = build(engine_name, WorldModel(0.02, 1, robots=(RobotBody("robot", model, fixed_base=True, pose=Pose((0, 0, 0.5))),)))
     view = View((1.0, 0.4, 1.2), (0.0, 0.0, 0.5), 60, 40)
     usual = engine.render(view)
-    engine.set_parameter("colour", ("robot", ""), 1.0, 1.0, 0.0, 1.0)
-    engine.set_parameter("colour", ("robot", ""), 1.0, 0.0, 1.0, 1.0)
+    engine.set_parameter("color", ("robot", ""), 1.0, 1.0, 0.0, 1.0)
+    engine.set_parameter("color", ("robot", ""), 1.0, 0.0, 1.0, 1.0)
     assert (engine.render(view) != usual).any()
     engine.reset()
     assert (engine.render(view) == usual).all()
@@ -287,7 +287,7 @@ def test_what_the_exact_engine_cannot_do_names_the_engine_that_can(worlds, build
     ):
         with pytest.raises(EngineError, match="use engine 'pybullet'"):
             use()
-    engine.set_parameter("colour", ("robot", ""), 1, 1, 1, 1)
+    engine.set_parameter("color", ("robot", ""), 1, 1, 1, 1)
     engine.set_parameter("light", (), 0.5)
     assert engine.velocity("robot")() == (ZERO_VECTOR, ZERO_VECTOR)
 

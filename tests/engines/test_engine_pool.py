@@ -18,7 +18,7 @@ IDENTITY_ROTATION = (0.0, 0.0, 0.0, 1.0)
 ROUND, SQUARE, PILLAR = (
     Variant("round", Sphere(0.05), 0.3, (1, 0, 0, 1)),
     Variant("square", Box((0.1, 0.1, 0.1)), 0.2, (0, 1, 0, 1)),
-    Variant("pillar", Box((0.1, 0.1, 0.4)), colour=(0, 0, 1, 1), fixed=True),
+    Variant("pillar", Box((0.1, 0.1, 0.4)), color=(0, 0, 1, 1), fixed=True),
 )
 WHEELS = [f"wheel_{i}" for i in range(4)]
 

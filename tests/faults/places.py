@@ -29,7 +29,7 @@ SETTLED = frozenset(("choices", "set", "poses", "layouts", "scripts", "forbid", 
 """Below these nothing is damaged: what stands there is of names only, or a path."""
 KINDS = ("type", "shape", "algorithm", "format")
 EXPRESSIONS = ("augment", "signals", "reward", "success", "failure", "apply")
-UNTYPED = ("summary", "name", "map", "urdf", "file", "python", "until", "colour", "channels", "order")
+UNTYPED = ("summary", "name", "map", "urdf", "file", "python", "until", "color", "channels", "order")
 WORDS = frozenset(
     (
         *("when", "not", "and", "or", "each", "step", "every", "auto", "any", "true", "false", "urdf", "time", "terminated", "truncated"),

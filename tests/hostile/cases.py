@@ -352,11 +352,11 @@ def _of_meshes() -> Iterator[Hostile]:
         yield make("mesh in a format that is not read", "m.blend", b"BLENDER")
 
 
-def _png(width: int, height: int, packed: bytes, colour: int = 0, bits: int = 8, interlaced: int = 0) -> bytes:
+def _png(width: int, height: int, packed: bytes, color: int = 0, bits: int = 8, interlaced: int = 0) -> bytes:
     def chunk(kind: bytes, content: bytes) -> bytes:
         return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
-    header = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, interlaced)
+    header = struct.pack(">IIBBBBB", width, height, bits, color, 0, 0, interlaced)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", packed) + chunk(b"IEND", b"")
 
 

@@ -46,11 +46,11 @@ def lumps(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]
 
 
 def picture() -> bytes:
-    """A grey PNG of 16 bits; its first row is the farthest along y."""
+    """A gray PNG of 16 bits; its first row is the farthest along y."""
     along = np.linspace(-SIDE / 2, SIDE / 2, CELLS + 1)
     x, y = np.meshgrid(along, along[::-1])
-    grey = np.rint(profile(x, y, lumps(x, y)) / WHITE * 65535).astype(">u2")
-    rows = b"".join(b"\x00" + row.tobytes() for row in grey)
+    gray = np.rint(profile(x, y, lumps(x, y)) / WHITE * 65535).astype(">u2")
+    rows = b"".join(b"\x00" + row.tobytes() for row in gray)
     header = struct.pack(">IIBBBBB", CELLS + 1, CELLS + 1, 16, 0, 0, 0, 0)
     parts = ((b"IHDR", header), (b"IDAT", zlib.compress(rows, 9)), (b"IEND", b""))
     chunks = (struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts)

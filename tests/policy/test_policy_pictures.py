@@ -13,7 +13,7 @@ from deepbots_cli.runtime import Supervisor
 Small = Callable[..., Supervisor]
 SECTIONS = """\
 reward: {pay: drive}
-objects: {ball: {shape: sphere, radius: 10 cm, colour: red, fixed: true, pose: {x: 1 m, z: 0.6 m}}}
+objects: {ball: {shape: sphere, radius: 10 cm, color: red, fixed: true, pose: {x: 1 m, z: 0.6 m}}}
 """
 EYE = "robots.cart.sensors.eye={type: camera, link: cart, pose: {x: 0.3 m, z: 0.2 m}, resolution: 24 16, fov: 60 deg}"
 SEND = "robots.cart.emit=[place, eye]"

@@ -93,11 +93,11 @@ def _draw(axes: Any, experiment: Experiment, entries: list[tuple[str, int, Entry
     seeds = list(dict.fromkeys(seed for _, seed, _ in entries))
     scale = 100 if experiment.curve == "success" else 1
     for name, seed, entry in entries:
-        colour, label = SEEDS[seeds.index(seed) % len(SEEDS)], str(seed) if name == names[0] else f"{seed}, {name}"
+        color, label = SEEDS[seeds.index(seed) % len(SEEDS)], str(seed) if name == names[0] else f"{seed}, {name}"
         hours, values = entry["curve"]["simulated_hours"], [scale * value for value in entry["curve"][experiment.curve]]
-        axes.plot(hours, values, STYLES[names.index(name) % len(STYLES)], color=colour, linewidth=1.3, label=label)
+        axes.plot(hours, values, STYLES[names.index(name) % len(STYLES)], color=color, linewidth=1.3, label=label)
         for end in entry["stages"]:
-            axes.axvline(end["simulated_hours"], color=colour, linewidth=0.9, linestyle=(0, (1, 2)))
+            axes.axvline(end["simulated_hours"], color=color, linewidth=0.9, linestyle=(0, (1, 2)))
     end = max(entry["simulated_hours"] for _, _, entry in entries)
     known = marks(experiment)
     axes.set_xlim(0, max([end, *(mark.hours for mark in known if mark.hours and mark.hours < FAR * end)]) * 1.05)

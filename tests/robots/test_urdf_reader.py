@@ -48,7 +48,7 @@ def test_a_sound_robot_is_read_without_a_word(read_text):
     model = robot.model
     assert (model.name, model.root) == ("arm", "base")
     assert model.link("base").visuals[0].shape == Box((1.0, 2.0, 3.0))
-    assert model.link("base").visuals[0].colour == (1.0, 0.0, 0.0, 1.0)
+    assert model.link("base").visuals[0].color == (1.0, 0.0, 0.0, 1.0)
     assert model.link("hand").collisions[0].shape == Cylinder(0.1, 2.0)
     assert model.link("hand").collisions[0].origin == Pose((0.0, 0.0, 0.5), (0.1, 0.0, 0.0))
     assert model.link("hand").friction == Friction(lateral=0.7)

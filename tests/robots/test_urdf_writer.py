@@ -34,7 +34,7 @@ positive = st.floats(1e-300, 1e17)
 not_negative = st.just(0.0) | positive
 vectors = st.tuples(numbers, numbers, numbers)
 poses = st.builds(Pose, vectors, vectors)
-colours = st.none() | st.tuples(*[st.floats(0, 1)] * 4)
+colors = st.none() | st.tuples(*[st.floats(0, 1)] * 4)
 shapes = (
     st.builds(Box, st.tuples(positive, positive, positive))
     | st.builds(Sphere, positive)
@@ -55,7 +55,7 @@ def robots(draw: st.DrawFn) -> RobotModel:
         Link(
             name,
             draw(st.none() | inertials),
-            tuple(draw(st.lists(st.builds(Geometry, shapes, poses, colours), max_size=2))),
+            tuple(draw(st.lists(st.builds(Geometry, shapes, poses, colors), max_size=2))),
             tuple(draw(st.lists(st.builds(Geometry, shapes, poses), max_size=2))),
             draw(frictions),
         )
@@ -101,12 +101,12 @@ def test_writing_is_the_same_every_time_and_in_short_lines():
     assert max(map(len, to_urdf(robot.model).splitlines())) < 200
 
 
-def test_one_material_name_means_one_colour():
+def test_one_material_name_means_one_color():
     red, blue = (1.0, 0.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)
-    visuals = tuple(Geometry(Sphere(1.0), Pose(), colour) for colour in (red, blue, red))
+    visuals = tuple(Geometry(Sphere(1.0), Pose(), color) for color in (red, blue, red))
     text = to_urdf(RobotModel("r", (Link("a", visuals=visuals),), (), "a"))
-    assert text.count('"colour_0"') == 2
-    assert text.count('"colour_1"') == 1
+    assert text.count('"color_0"') == 2
+    assert text.count('"color_1"') == 1
 
 
 @pytest.mark.parametrize("name", ['a"b', "a'b", "a<b>&", "é", "a b"])

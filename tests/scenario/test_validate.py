@@ -202,7 +202,7 @@ def test_each_body_is_told_by_its_shape(check: Check, cartpole: str) -> None:
         ("{ball: {radius: 1}}", "DB102", "ball"),
         ("{ball: {shape: box}}", "DB102", "ball"),
         ("{ball: {shape: sphere, radius: 0}}", "DB105", "0"),
-        ("{ball: {shape: sphere, radius: 1, colour: rot}}", "DB104", "rot"),
+        ("{ball: {shape: sphere, radius: 1, color: rot}}", "DB104", "rot"),
         ("{ball: {shape: sphere, radius: 1, count: 1.5}}", "DB103", "1.5"),
         ("{heap: {one_of: {}}}", "DB107", "one_of"),
         ("{heap: {one_of: {a: {shape: box, size: 1 1 1 m, count: 2}}}}", "DB101", "count"),

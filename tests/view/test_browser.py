@@ -53,8 +53,8 @@ def _world(tab):
     return tab.see()[:, :450].astype(int)
 
 
-def _is_world(image, colour, least=100):
-    return int((np.abs(image - colour).sum(axis=2) < 60).sum()) > least
+def _is_world(image, color, least=100):
+    return int((np.abs(image - color).sum(axis=2) < 60).sum()) > least
 
 
 def test_the_world_is_seen_stands_still_and_moves(new_tab):
@@ -149,9 +149,9 @@ def test_worlds_of_a_batch_are_chosen(new_tab):
         assert tab.errors == []
 
 
-def _columns(image, colour):
-    """How many things of a colour stand side by side."""
-    there = (np.abs(image - colour).sum(axis=2) < 60).any(axis=0)
+def _columns(image, color):
+    """How many things of a color stand side by side."""
+    there = (np.abs(image - color).sum(axis=2) < 60).any(axis=0)
     return int((np.diff(np.flatnonzero(there)) > 20).sum()) + int(there.any())
 
 

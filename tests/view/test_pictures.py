@@ -94,7 +94,7 @@ def test_a_clip_can_be_read_and_moves(tmp_path, suffix):
     assert out.stat().st_size < 100_000
 
 
-def test_a_gif_keeps_the_colour_of_a_small_robot(tmp_path):
+def test_a_gif_keeps_the_color_of_a_small_robot(tmp_path):
     shades = np.random.default_rng(0).integers(0, 256, (1, 160, 1)) * np.array([[[0.9, 0.95, 1.0]]])  # a floor of many shades
     image = np.broadcast_to(shades, (120, 160, 3)).astype(np.uint8).copy()
     image[50:58, 60:68] = (30, 90, 200)

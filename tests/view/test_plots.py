@@ -121,17 +121,17 @@ def test_an_ending_has_one_color_in_a_plot_of_two_runs(tmp_path):
     _run(tmp_path / "a", "x", [0, 2, 4, 6], endings=["found", "crashed", "crashed", "crashed"])
     _run(tmp_path / "b", "y", [0, 2, 4, 6], endings=["crashed", "found", "found", "lost"])
     figure = plots.plot(plots.read_logs([tmp_path / "a", tmp_path / "b"]))
-    colours = [
+    colors = [
         {area.get_label(): tuple(area.get_facecolor()[0]) for area in panel.collections} for panel in (figure.axes[3], figure.axes[5])
     ]
-    assert len(set(colours[1].values())) == 3
-    assert {name: colours[1][name] for name in colours[0]} == colours[0]
+    assert len(set(colors[1].values())) == 3
+    assert {name: colors[1][name] for name in colors[0]} == colors[0]
 
 
 def test_more_endings_than_colors_have_a_color_each(tmp_path):
     names = [f"ending_{number}" for number in range(12)]
     _run(tmp_path / "a", "x", [0.0] * 12, endings=names, stages=[""] * 12)
-    assert len(set(plots.ending_colours(plots.read_logs([tmp_path / "a"])).values())) == 12
+    assert len(set(plots.ending_colors(plots.read_logs([tmp_path / "a"])).values())) == 12
 
 
 def test_a_legend_hides_no_curve_and_leaves_the_figure_nowhere(runs):

@@ -24,7 +24,7 @@ PIT = Pit(3.2, 2.7 * RIM_RADIUS_PER_SIGMA, 0.15)
 SLOPE = Formula(Op("mul", (Const(0.2), Name("x"))), (10.0, 6.0))
 
 
-def grey_png(rows: list[list[int]], depth: int = 1, filtering: int = 0) -> bytes:
+def gray_png(rows: list[list[int]], depth: int = 1, filtering: int = 0) -> bytes:
     """A PNG whose rows are all filtered in one way."""
     packed = b""
     above = bytes(len(rows[0]) * depth)
@@ -130,9 +130,9 @@ def test_an_episode_on_terrain_after_a_reset_is_that_of_a_fresh_world() -> None:
 
 @settings(max_examples=60)
 @given(st.data(), st.sampled_from([1, 2]), st.integers(0, 4), st.integers(2, 7), st.integers(2, 7))
-def test_a_grey_picture_is_read_as_it_was_written(data, depth: int, filtering: int, width: int, tall: int) -> None:
+def test_a_gray_picture_is_read_as_it_was_written(data, depth: int, filtering: int, width: int, tall: int) -> None:
     rows = [[data.draw(st.integers(0, 256**depth - 1)) for _ in range(width)] for _ in range(tall)]
-    written = grey_png(rows, depth, filtering)
+    written = gray_png(rows, depth, filtering)
     assert files.picture_problem(written) is None
     assert picture_pixels(written).tolist() == rows
 
@@ -140,7 +140,7 @@ def test_a_grey_picture_is_read_as_it_was_written(data, depth: int, filtering: i
 @settings(max_examples=200)
 @given(st.binary(max_size=60), st.integers(0, 90), st.binary(max_size=4))
 def test_a_damaged_picture_is_refused_or_read_and_nothing_worse(tail: bytes, at: int, patch: bytes) -> None:
-    whole = grey_png([[1, 2, 3], [4, 5, 6]])
+    whole = gray_png([[1, 2, 3], [4, 5, 6]])
     for odd in (whole[:at] + patch + whole[at + len(patch) :], whole[:at] + tail):
         if files.picture_problem(odd) is None:
             with suppress(EngineError):
@@ -150,8 +150,8 @@ def test_a_damaged_picture_is_refused_or_read_and_nothing_worse(tail: bytes, at:
 HOSTILE = {
     "not a PNG": b"GIF89a",
     "1000000 x 1000000 pixels": b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sIIBBBBB", 13, b"IHDR", 10**6, 10**6, 8, 0, 0, 0, 0) + bytes(20),
-    "not grey": b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sIIBBBBB", 13, b"IHDR", 4, 4, 8, 2, 0, 0, 0) + bytes(20),
-    "fewer or more pixels than it says": grey_png([[1, 2], [3, 4]])[:33] + grey_png([[1, 2]])[33:],
+    "not gray": b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sIIBBBBB", 13, b"IHDR", 4, 4, 8, 2, 0, 0, 0) + bytes(20),
+    "fewer or more pixels than it says": gray_png([[1, 2], [3, 4]])[:33] + gray_png([[1, 2]])[33:],
 }
 
 
@@ -209,7 +209,7 @@ def test_hills_may_be_written_as_a_formula_of_place(tmp_path: Path) -> None:
 
 
 def test_hills_may_come_from_a_picture_whose_first_row_is_farthest_to_the_left(tmp_path: Path) -> None:
-    (tmp_path / "hills.png").write_bytes(grey_png([[255] * 5, *[[0] * 5] * 4]))
+    (tmp_path / "hills.png").write_bytes(gray_png([[255] * 5, *[[0] * 5] * 4]))
     scenario = compiled(tmp_path, "type: heightfield, file: hills.png, size: 8 8 m, height: 2 m")
     at = ground_height(scenario.program.world.terrain)
     assert at(0.0, 4.0) == 2.0
@@ -221,9 +221,9 @@ def test_hills_may_come_from_a_picture_whose_first_row_is_farthest_to_the_left(t
 
 
 def test_a_picture_that_changed_after_compiling_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "hills.png").write_bytes(grey_png([[255] * 5] * 5))
+    (tmp_path / "hills.png").write_bytes(gray_png([[255] * 5] * 5))
     scenario = compiled(tmp_path, "type: heightfield, file: hills.png, size: 8 8 m, height: 2 m")
-    (tmp_path / "hills.png").write_bytes(grey_png([[0] * 5] * 5))
+    (tmp_path / "hills.png").write_bytes(gray_png([[0] * 5] * 5))
     with pytest.raises(EngineError, match="has changed"):
         api.make(scenario)
 

@@ -49,7 +49,7 @@ _HEADINGS = {
     Effect.task: "sensors, actuators, rewards or endings differ",
     Effect.world: "world, messages or starts differ, so the difficulty differs",
     Effect.training: "training or evaluation differs",
-    Effect.cosmetic: "the meaning is the same: names of the scenario or a robot, summary, unseen colours, order of keys, rounding",
+    Effect.cosmetic: "the meaning is the same: names of the scenario or a robot, summary, unseen colors, order of keys, rounding",
 }
 _Side = Annotated[
     str,
@@ -71,7 +71,7 @@ def command(
     The command compiles both scenarios and compares the values, so layout, comments and units make no difference. For a run or a
     group it uses the scenario of the training. --set overrides values of the second scenario.
 
-    Differences are cosmetic if they are in the name or summary of the scenario, in the name of a robot in its URDF file, in colours
+    Differences are cosmetic if they are in the name or summary of the scenario, in the name of a robot in its URDF file, in colors
     that no camera sees, in the order of keys, or in a number from its 13th digit on. The order of observations and actions is not
     cosmetic. The exit code is 0 if there are no differences or only cosmetic ones, 1 if there are others, and 2 if a scenario cannot be
     compiled.
@@ -142,7 +142,7 @@ class Change:
         return f"changed by the parameter{'s' * (len(self.through) > 1)} {', '.join(listed)}"
 
 
-_LOOKS_PATH = r"(?=/(?:.*/)?(?:colour|visuals)\b)"
+_LOOKS_PATH = r"(?=/(?:.*/)?(?:color|visuals)\b)"
 _AGENT = r"agents/[^/]+/"
 _PATHS: tuple[tuple[str, str, Effect], ...] = (
     # the path of a value in a compiled scenario, the first that matches; its path in the language; its group
@@ -261,7 +261,7 @@ def _change(path: str, group: Effect, old: Mapping[str, str], new: Mapping[str, 
     section, _, name = path.partition(".")
     if section == "signals" and any(name in side.keys_at("augment") for side in (one, other)):
         path = f"augment.{name}"
-    written = f"{path.removeprefix(APPEARANCE_PREFIX)}.colour" if path.startswith(APPEARANCE_PREFIX) else path
+    written = f"{path.removeprefix(APPEARANCE_PREFIX)}.color" if path.startswith(APPEARANCE_PREFIX) else path
     texts = one.text_at(written), other.text_at(written)
     kind = "changed" if all(texts) else _kind(bool(old), bool(new))
     if texts[0] != texts[1]:
@@ -393,7 +393,7 @@ def _key(entry: Any) -> str:
 def _path_of_draw(entry: RandomizedParameter) -> str:
     """The path in the language of a value that is drawn per episode."""
     body, *rest = (part.partition("#")[0] for part in entry.of) if entry.of else ("",)
-    if entry.what == "colour":
+    if entry.what == "color":
         return f"{APPEARANCE_PREFIX}robots.{body}.links.{rest[0]}" if rest and rest[0] else f"{APPEARANCE_PREFIX}objects.{body}"
     first = entry.scalars[0]
     if isinstance(first, Draw):

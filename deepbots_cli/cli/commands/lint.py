@@ -349,7 +349,7 @@ def report(findings: Sequence[Finding], format: Format, names: Sequence[str], fa
             return render(findings, "json")
         case Format.full | Format.concise:
             form: Literal["full", "concise"] = "full" if format is Format.full else "concise"
-            return escape_log_commands(render(findings, form, terminal.uses_colour(sys.stdout), terminal.width()))
+            return escape_log_commands(render(findings, form, terminal.uses_color(sys.stdout), terminal.width()))
 
 
 def _page(code: str) -> tuple[str, str]:

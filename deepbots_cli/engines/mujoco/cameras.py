@@ -100,7 +100,7 @@ class WorldRenderer:
         eye, turned = frames.compose(pose(), mount)
         renderer = self._renderer_of_size(width, height)
         self._aim(renderer, eye, frames.rotate(turned, (1.0, 0.0, 0.0)), frames.rotate(turned, (0.0, 0.0, 1.0)), fov)
-        colours = self._brightened(renderer.render().copy())
+        colors = self._brightened(renderer.render().copy())
         renderer.enable_depth_rendering()
         depth = np.minimum(renderer.render(), np.float32(CAMERA_RANGE_M))
         renderer.disable_depth_rendering()
@@ -109,7 +109,7 @@ class WorldRenderer:
         renderer.disable_segmentation_rendering()
         names = tuple(self._state.pools)
         bodies = np.where(geoms >= 0, self._owners[geoms], np.int32(-1)).astype(np.int32)
-        return CameraImage(colours, depth, bodies, names)
+        return CameraImage(colors, depth, bodies, names)
 
     def _brightened(self, picture: Image) -> Image:
         light = self._state.light
@@ -125,9 +125,9 @@ class WorldRenderer:
         for name in ("qpos", "mocap_pos", "mocap_quat"):
             getattr(data, name)[:] = getattr(now, name)
         model.geom_rgba[:] = self._nominal
-        for (body, link), colour in self._state.colours.items():
+        for (body, link), color in self._state.colors.items():
             geoms = self._geoms.get((body, link), [])
-            model.geom_rgba[geoms] = colour
+            model.geom_rgba[geoms] = color
         mj.mj_kinematics(model, data)
         mj.mj_camlight(model, data)
         renderer = self._renderers.get((width, height))

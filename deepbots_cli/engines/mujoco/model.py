@@ -15,7 +15,7 @@ from deepbots_cli import frames
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.objects import (
-    LINK_COLOURS,
+    LINK_COLORS,
     ROOT_MASS_FRACTION,
     Pool,
     arena_walls,
@@ -27,7 +27,7 @@ from deepbots_cli.engines.objects import (
 )
 from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import HeightGrid, height_grid, mesh_triangles
-from deepbots_cli.program.world import GROUND, Colour, Line, ObjectBody, Terrain, WorldModel
+from deepbots_cli.program.world import GROUND, Color, Line, ObjectBody, Terrain, WorldModel
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Joint, Link, Mesh, Mimic, RobotModel, Sphere
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ A contact gives way by (1 - impedance) / impedance.
 AXLE_TOLERANCE = 1e-6
 """By how much the axis of a wheel may be off that of its joint: as a part of the radius, and in rad."""
 NEAR_CLIP_M, FAR_CLIP_M = 0.01, 2000.0  # m; what is drawn
-TERRAIN_COLOUR = (0.72, 0.63, 0.48, 1.0)
+TERRAIN_COLOR = (0.72, 0.63, 0.48, 1.0)
 
 
 @dataclass(eq=False)
@@ -174,14 +174,14 @@ class ModelBuilder:
     def _add_ground(self) -> None:
         world = self._world
         shape: dict[str, Any]
-        colour: Colour | None
+        color: Color | None
         if world.terrain is not None:
             relief = self._relief(world.terrain)
             shape = {"type": mj.mjtGeom.mjGEOM_HFIELD, "hfieldname": GROUND, "pos": (0.0, 0.0, float(relief.heights.min()))}
-            friction, colour = Friction(lateral=world.terrain.friction), world.terrain.colour or TERRAIN_COLOUR
+            friction, color = Friction(lateral=world.terrain.friction), world.terrain.color or TERRAIN_COLOR
         elif world.ground is not None:
             shape = {"type": mj.mjtGeom.mjGEOM_PLANE, "size": (0.0, 0.0, 1.0)}
-            friction, colour = Friction(lateral=world.ground.friction, restitution=world.ground.restitution), world.ground.colour
+            friction, color = Friction(lateral=world.ground.friction, restitution=world.ground.restitution), world.ground.color
         else:
             return
         body = Body(
@@ -192,7 +192,7 @@ class ModelBuilder:
             static_links=frozenset({GROUND}),
         )
         if self._for_rendering:
-            shape |= {"rgba": colour} if colour else {"material": self._tiles()}
+            shape |= {"rgba": color} if color else {"material": self._tiles()}
         geom = self._geom(self._spec.worldbody, **shape)
         self._made.append((body, {GROUND: self._spec.worldbody}, {}, {GROUND: [geom]}))
         self.pools.append(Pool(GROUND, [(GROUND, body)], pooled=False))
@@ -218,7 +218,7 @@ class ModelBuilder:
         return relief
 
     def _add_light(self) -> None:
-        """Daylight, a sky that is brighter at the horizon, and colours that do not depend on from where they are seen."""
+        """Daylight, a sky that is brighter at the horizon, and colors that do not depend on from where they are seen."""
         spec = self._spec
         spec.visual.quality.offsamples = 0  # a pixel is what its centre sees
         gradient, sky = mj.mjtBuiltin.mjBUILTIN_GRADIENT, mj.mjtTexture.mjTEXTURE_SKYBOX
@@ -245,10 +245,10 @@ class ModelBuilder:
             turned = _wxyz(frames.quaternion(0.0, 0.0, yaw))
             if long > 0.0:
                 middle, size = ((x0 + x1) / 2, (y0 + y1) / 2, 0.0), (long, half, thin)
-                self._geom(self._spec.worldbody, type=mj.mjtGeom.mjGEOM_BOX, size=size, pos=middle, quat=turned, rgba=line.colour)
+                self._geom(self._spec.worldbody, type=mj.mjtGeom.mjGEOM_BOX, size=size, pos=middle, quat=turned, rgba=line.color)
             for x, y in ((x0, y0), (x1, y1)):
                 disc = (half, thin, 0.0)
-                self._geom(self._spec.worldbody, type=mj.mjtGeom.mjGEOM_CYLINDER, size=disc, pos=(x, y, 0.0), rgba=line.colour)
+                self._geom(self._spec.worldbody, type=mj.mjtGeom.mjGEOM_CYLINDER, size=disc, pos=(x, y, 0.0), rgba=line.color)
 
     # Bodies
 
@@ -372,8 +372,8 @@ class ModelBuilder:
 
     def _surface(self, made: MjObject, piece: Geometry, place: int, pooled: bool) -> MjObject:
         position, turned = frames.frame(piece.origin)
-        colour = piece.colour or LINK_COLOURS[place % len(LINK_COLOURS)]
-        about: dict[str, Any] = {"pos": position, "quat": _wxyz(turned), "rgba": colour if self._for_rendering else (1, 1, 1, 1)}
+        color = piece.color or LINK_COLORS[place % len(LINK_COLORS)]
+        about: dict[str, Any] = {"pos": position, "quat": _wxyz(turned), "rgba": color if self._for_rendering else (1, 1, 1, 1)}
         group = HIDDEN_GROUP if pooled and not self._for_rendering else SOLID_GROUP
         kinds = mj.mjtGeom
         match piece.shape:

@@ -65,7 +65,7 @@ class MujocoWorld:
         self.model, self.data, self.scratch_data = model, mj.MjData(model), mj.MjData(model)
         self.pools = {pool.name: pool for pool in pools}
         self.closed = self.has_positions = self.has_velocities = self.has_pushes = False
-        self.colours: dict[tuple[str, str], Sequence[float]] = {}
+        self.colors: dict[tuple[str, str], Sequence[float]] = {}
         self.light = self._nominal_light = world.light
         self._forces: Sequence[ContactForce] | None = ()
         self._mass_changed = self._friction_changed = True
@@ -134,7 +134,7 @@ class MujocoWorld:
         data = self.data
         self._restore_values(*self._initial_values)
         self.light = self._nominal_light
-        self.colours.clear()
+        self.colors.clear()
         for pool in self.pools.values():
             pool.deactivate()
         data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = self._initial_positions
@@ -190,11 +190,11 @@ class MujocoWorld:
 
     def memory(self) -> tuple[Any, ...]:
         """What an episode has besides its state and the values of the model: which bodies are there in which form, colors, light."""
-        return tuple((pool.present, pool.current) for pool in self.pools.values()), dict(self.colours), self.light
+        return tuple((pool.present, pool.current) for pool in self.pools.values()), dict(self.colors), self.light
 
     def remember(self, memory: tuple[Any, ...]) -> None:
-        pools, colours, self.light = memory
-        self.colours = dict(colours)
+        pools, colors, self.light = memory
+        self.colors = dict(colors)
         for pool, (present, chosen) in zip(self.pools.values(), pools, strict=True):
             pool.present, pool.current = present, chosen
 
@@ -231,8 +231,8 @@ class MujocoWorld:
                 body = self.body(owner[0])
                 link = owner[1] or body.model.root
                 place = find(body.links, link, f"'{owner[0]}' has no link")
-                if parameter == "colour":
-                    self.colours[owner[0], link] = values
+                if parameter == "color":
+                    self.colors[owner[0], link] = values
                 elif parameter == "mass":
                     self._set_mass(body, place, values[0])
                 else:

@@ -2,7 +2,7 @@
 
 engine.py      the engine: one world in a client of its own
 loading.py     ground, walls, objects and robots, built from the world model
-state.py       bodies with links and joints by name; joints, poses and velocities; masses, friction, colours that an episode varies
+state.py       bodies with links and joints by name; joints, poses and velocities; masses, friction, colors that an episode varies
 motors.py      motors and springs on joints, and forces on links
 surfaces.py    what touches what and how hard, distances between surfaces and along rays
 cameras.py     pictures: bodies, floor and sky

@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from deepbots_cli.program.world import Line
 
     FloatArray = NDArray[np.float32]
-    Colour = tuple[float, float, float, float]
+    Color = tuple[float, float, float, float]
 
 TILE_SIZE_M = 0.25  # m
 _LIGHT_TILE, _DARK_TILE = np.array([222, 227, 232], np.float32), np.array([198, 206, 214], np.float32)
-_DARK_TILE_SHARE = 0.9  # of the darker tiles of a floor that has a colour of its own
+_DARK_TILE_SHARE = 0.9  # of the darker tiles of a floor that has a color of its own
 _PAINT_CELL_M, _MAX_PAINT_CELLS = 0.002, 2000  # m across a cell of paint, and how many there are along a side before they grow
 _MAX_PAINTS = 255
-_HORIZON_COLOUR, _ZENITH_COLOUR = np.array([236, 241, 246], np.float32), np.array([150, 186, 222], np.float32)
+_HORIZON_COLOR, _ZENITH_COLOR = np.array([236, 241, 246], np.float32), np.array([150, 186, 222], np.float32)
 _HAZE_DISTANCE_M = 12.0  # m; the distance over which the floor fades into the horizon
 NEAR_CLIP_M = 0.01  # m
 # m by which the eye is moved ahead. The renderer counts pixels of corners that lie in the plane of the eye, as those of a flat
@@ -40,26 +40,26 @@ EYE_OFFSET_M = 1.7e-5
 
 
 class Floor:
-    """Colours of points of the plane z = 0."""
+    """Colors of points of the plane z = 0."""
 
-    def __init__(self, colour: Colour | None, lines: Sequence[Line]) -> None:
-        self.default_colour = colour
-        self.colour(colour)
+    def __init__(self, color: Color | None, lines: Sequence[Line]) -> None:
+        self.default_color = color
+        self.color(color)
         self._paint = PaintMap(lines) if lines else None
 
-    def colour(self, colour: Colour | None) -> None:
-        """Tiles of this colour, or of two greys for None."""
-        self.tiles = colour
-        self._light = _LIGHT_TILE if colour is None else np.array(colour[:3], np.float32) * np.float32(255.0)
-        self._dark = _DARK_TILE if colour is None else self._light * np.float32(_DARK_TILE_SHARE)
+    def color(self, color: Color | None) -> None:
+        """Tiles of this color, or of two grays for None."""
+        self.tiles = color
+        self._light = _LIGHT_TILE if color is None else np.array(color[:3], np.float32) * np.float32(255.0)
+        self._dark = _DARK_TILE if color is None else self._light * np.float32(_DARK_TILE_SHARE)
 
     def __call__(self, x: FloatArray, y: FloatArray, across: FloatArray) -> FloatArray:
         """Shape (n, 3), 0 to 255, seen in pixels `across` m long; tiles too small for a pixel melt into their mean."""
         sharp = np.clip(1.5 - across * np.float32(1 / TILE_SIZE_M), 0.0, 1.0)
         odd = (np.floor(x * np.float32(1 / TILE_SIZE_M)) + np.floor(y * np.float32(1 / TILE_SIZE_M))).astype(np.int32) & 1
         shade = 0.5 + (odd - np.float32(0.5)) * sharp
-        colours = self._light + (self._dark - self._light) * shade[:, None]
-        return colours if self._paint is None else self._paint.paint(colours, x, y)
+        colors = self._light + (self._dark - self._light) * shade[:, None]
+        return colors if self._paint is None else self._paint.paint(colors, x, y)
 
 
 class PaintMap:
@@ -73,9 +73,9 @@ class PaintMap:
         self._cell = max(_PAINT_CELL_M, size / _MAX_PAINT_CELLS)
         shape = tuple(ceil((max(values) - min(values)) / self._cell) + 1 for values in (xs, ys))
         self._cells = np.zeros(shape, np.uint8)
-        self._colours = np.zeros((_MAX_PAINTS + 1, 3), np.float32)
+        self._colors = np.zeros((_MAX_PAINTS + 1, 3), np.float32)
         for place, line in enumerate(lines[:_MAX_PAINTS], start=1):
-            self._colours[place] = np.array(line.colour[:3], np.float32) * 255.0
+            self._colors[place] = np.array(line.color[:3], np.float32) * 255.0
             for start, end in line.pieces:
                 self._stroke(start, end, line.width / 2, place)
 
@@ -95,14 +95,14 @@ class PaintMap:
         apart = np.hypot(x[:, None] - start[0] - foot * dx / length, y[None, :] - start[1] - foot * dy / length)
         self._cells[spans[0], spans[1]][apart <= half] = paint
 
-    def paint(self, colours: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-        """The colours with the paint at points over them."""
+    def paint(self, colors: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+        """The colors with the paint at points over them."""
         column, row = ((values - np.float32(low)) * np.float32(1 / self._cell) for values, low in zip((x, y), self._corner, strict=True))
         inside = np.flatnonzero((column >= 0) & (row >= 0) & (column < self._cells.shape[0]) & (row < self._cells.shape[1]))
         paints = self._cells[column[inside].astype(np.int32), row[inside].astype(np.int32)]
         painted = inside[paints > 0]
-        colours[painted] = self._colours[paints[paints > 0]]
-        return colours
+        colors[painted] = self._colors[paints[paints > 0]]
+        return colors
 
 
 def fill_background(
@@ -118,15 +118,15 @@ def fill_background(
     if sky.any():
         x, y, z = rays[sky].T
         picture[sky] = (
-            _HORIZON_COLOUR + (_ZENITH_COLOUR - _HORIZON_COLOUR) * np.clip(2.0 * z / np.sqrt(x * x + y * y + z * z), 0.0, 1.0)[:, None]
+            _HORIZON_COLOR + (_ZENITH_COLOR - _HORIZON_COLOR) * np.clip(2.0 * z / np.sqrt(x * x + y * y + z * z), 0.0, 1.0)[:, None]
         )
     ground = where & down
     if floor is not None and ground.any():
         x, y, z = rays[ground].T
         times = np.float32(-eye[2]) / z
         reach = times * np.sqrt(x * x + y * y + z * z)
-        colours = floor(np.float32(eye[0]) + x * times, np.float32(eye[1]) + y * times, np.float32(pixel / eye[2]) * reach * reach)
-        picture[ground] = _HORIZON_COLOUR + (colours - _HORIZON_COLOUR) * np.exp(reach * np.float32(-1 / _HAZE_DISTANCE_M))[:, None]
+        colors = floor(np.float32(eye[0]) + x * times, np.float32(eye[1]) + y * times, np.float32(pixel / eye[2]) * reach * reach)
+        picture[ground] = _HORIZON_COLOR + (colors - _HORIZON_COLOR) * np.exp(reach * np.float32(-1 / _HAZE_DISTANCE_M))[:, None]
 
 
 def downsampled(picture: Image, samples: int) -> Image:
@@ -184,7 +184,7 @@ class Camera:
         self._projection = p.computeProjectionMatrix(*frustum, near, CAMERA_RANGE_M)
 
     def _rendered(self, aim: CameraPose) -> tuple[Image, NDArray[np.float32], NDArray[np.int32]]:
-        """Colours, the buffer of depths, and the numbers of bodies (-1 for none), of bodies alone."""
+        """Colors, the buffer of depths, and the numbers of bodies (-1 for none), of bodies alone."""
         width, height = self._size
         eye = add(aim.eye, scaled(aim.ahead, EYE_OFFSET_M))
         _, _, pixels, buffer, numbers = p.getCameraImage(
@@ -202,17 +202,17 @@ class Camera:
             physicsClientId=self._client,
         )
         shape = (height, width)
-        colours = np.asarray(pixels, np.uint8).reshape(*shape, 4)[..., :3]
-        return colours, np.asarray(buffer, np.float32).reshape(shape), np.asarray(numbers, np.int32).reshape(shape)
+        colors = np.asarray(pixels, np.uint8).reshape(*shape, 4)[..., :3]
+        return colors, np.asarray(buffer, np.float32).reshape(shape), np.asarray(numbers, np.int32).reshape(shape)
 
     def _world_rays(self, aim: CameraPose) -> NDArray[np.float32]:
         """The line of sight of each pixel in the world frame, with a length of 1 ahead."""
         return (self._rays.reshape(-1, 3) @ np.array(aim[1:], np.float32)).reshape(self._rays.shape)
 
     def render(self, aim: CameraPose, background: Image) -> Image:
-        """Colours of bodies, before a background."""
-        colours, _, numbers = self._rendered(aim)
-        return np.where((numbers < 0)[..., None], background, colours)
+        """Colors of bodies, before a background."""
+        colors, _, numbers = self._rendered(aim)
+        return np.where((numbers < 0)[..., None], background, colors)
 
     def background(self, aim: CameraPose) -> Image:
         """Floor and sky."""
@@ -224,7 +224,7 @@ class Camera:
     def camera_image(self, aim: CameraPose, places: NDArray[np.int32], ground: int, names: tuple[str, ...]) -> CameraImage:
         """All that is seen; `places` are those of PyBullet's numbers among `names`, `ground` is that of the floor."""
         seen, buffer, numbers = self._rendered(aim)
-        colours, bare, rays = seen.copy(), numbers < 0, self._world_rays(aim)
+        colors, bare, rays = seen.copy(), numbers < 0, self._world_rays(aim)
         depth = CAMERA_RANGE_M * NEAR_CLIP_M / (CAMERA_RANGE_M - (CAMERA_RANGE_M - NEAR_CLIP_M) * buffer) + np.float32(EYE_OFFSET_M)
         bodies = np.where(bare, np.int32(-1), places[numbers])
         depth[bare] = CAMERA_RANGE_M
@@ -232,8 +232,8 @@ class Camera:
             floor = bare & (rays[..., 2] < -1e-6)
             bodies[floor] = ground
             depth[floor] = np.minimum(np.float32(-aim.eye[2]) / rays[floor][:, 2], CAMERA_RANGE_M)
-        fill_background(colours, bare, aim.eye, rays, self._pixel, self._floor)
-        return CameraImage(colours, depth, bodies, names)
+        fill_background(colors, bare, aim.eye, rays, self._pixel, self._floor)
+        return CameraImage(colors, depth, bodies, names)
 
 
 def _length(v: Triple) -> float:

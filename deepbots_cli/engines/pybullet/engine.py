@@ -102,7 +102,7 @@ class PyBulletEngine:
         self._release = weakref.finalize(self, _release, self._client, self._substeps, self._cache)
         self.step = self._substeps.stepper(self._client, self._cache.generation)
         self._timestep = world.timestep / world.substeps
-        self._floor = Floor(world.ground.colour, world.lines) if world.ground and not world.terrain else None
+        self._floor = Floor(world.ground.color, world.lines) if world.ground and not world.terrain else None
         self._springs: dict[tuple[int, tuple[int, ...]], motors.Springs] = {}
         self._contact_monitors: dict[int, surfaces.ContactMonitor] = {}
         self._rays: surfaces.Rays | None = None
@@ -285,7 +285,7 @@ class PyBulletEngine:
 
         def look() -> CameraImage:
             image = camera.camera_image(cameras.pose_along(frames.compose(pose(), mount)), places, ground, names)
-            return image._replace(colours=brightened(image.colours, self._parameters.light))
+            return image._replace(colors=brightened(image.colors, self._parameters.light))
 
         return look
 

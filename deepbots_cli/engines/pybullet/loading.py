@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.engines.objects import LINK_COLOURS, Pool, arena_walls, as_robot, forms_of, is_movable, with_explicit_masses
+from deepbots_cli.engines.objects import LINK_COLORS, Pool, arena_walls, as_robot, forms_of, is_movable, with_explicit_masses
 from deepbots_cli.engines.pybullet import BASE_LINK, UNREACHABLE_SPEED, capture_native_output
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.engines.pybullet.state import Body, contact_parameters
@@ -38,7 +38,7 @@ did, and its heights differ by 1e-6 m. At 2e-5 m and below, wheels lose the grou
 terrain there is no such limit: with it, two trainings of PitEscape took 1.25 and 1.65 times as many steps. The cause was not
 measured; a ball that rolls over an edge of a triangle may be further away than this for a step.
 """
-TERRAIN_COLOUR = (0.72, 0.63, 0.48, 1.0)
+TERRAIN_COLOR = (0.72, 0.63, 0.48, 1.0)
 _MAX_VISUAL_CELLS = 100  # cells of what is drawn along either side; a finer picture would take longer than it shows
 _CYLINDER = "cylinder.obj"
 GEAR_ERP, GEAR_FORCE = 0.2, 1e5
@@ -230,7 +230,7 @@ def _drawn_terrain(client: int, vertices: NDArray[np.float64], faces: NDArray[np
         vertices=(vertices - (0.0, 0.0, middle)).tolist(),
         indices=faces.ravel().tolist(),
         normals=normals.tolist(),
-        rgbaColor=ground.colour or TERRAIN_COLOUR,
+        rgbaColor=ground.color or TERRAIN_COLOR,
         physicsClientId=client,
     )
     return shape
@@ -241,7 +241,7 @@ def _ground_body(client: int, number: int, friction: Friction) -> Body:
 
 
 def for_loader(model: RobotModel, folder: Path) -> RobotModel:
-    """The model with both ends on each range of a joint, a colour on all that is seen, and meshes still as they were checked.
+    """The model with both ends on each range of a joint, a color on all that is seen, and meshes still as they were checked.
 
     A link without visuals shows what it collides with. Cylinders are seen as the mesh in `folder`: those of the library share normals
     between side and caps, so that a flat disc looked like a cone.
@@ -254,9 +254,9 @@ def for_loader(model: RobotModel, folder: Path) -> RobotModel:
         for geometry in (*link.visuals, *link.collisions):
             if isinstance(geometry.shape, Mesh):
                 read_verified(geometry.shape)
-        colour = LINK_COLOURS[index % len(LINK_COLOURS)]
+        color = LINK_COLORS[index % len(LINK_COLORS)]
         visuals = tuple(
-            replace(seen, colour=seen.colour or colour, shape=_seen_shape(seen.shape, folder)) for seen in link.visuals or link.collisions
+            replace(seen, color=seen.color or color, shape=_seen_shape(seen.shape, folder)) for seen in link.visuals or link.collisions
         )
         links.append(replace(link, visuals=visuals))
     return replace(model, links=tuple(links), joints=tuple(replace(joint, limit=_explicit_limits(joint)) for joint in model.joints))

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from deepbots_cli.engines.pybullet.cameras import Floor
     from deepbots_cli.frames import Quaternion, Triple
     from deepbots_cli.port import JointReader, Motion, MotionReader, PoseReader, VelocityReader
-    from deepbots_cli.program.world import Colour, EngineParameter, WorldModel
+    from deepbots_cli.program.world import Color, EngineParameter, WorldModel
     from deepbots_cli.robots.model import Friction, Link, RobotModel
 
 
@@ -301,22 +301,22 @@ class Parameters:
         self.gravity = gravity
         p.setGravity(*gravity, self._client)
 
-    def _set_colour(self, body: str, link: str, *colour: float) -> None:
+    def _set_color(self, body: str, link: str, *color: float) -> None:
         if body == GROUND and self._floor is not None:
-            self._floor.colour(colour)  # type: ignore[arg-type]
-            self._undo["floor"] = partial(self._floor.colour, self._floor.default_colour)
+            self._floor.color(color)  # type: ignore[arg-type]
+            self._undo["floor"] = partial(self._floor.color, self._floor.default_color)
             return
         owner, index = self._link(body, link)
-        key = ("colour", owner.number, index)
+        key = ("color", owner.number, index)
         if key not in self._undo:
             shapes = p.getVisualShapeData(owner.number, physicsClientId=self._client)
             usual = [shape[7] for shape in shapes if shape[1] == index]
             self._undo[key] = partial(self._paint, owner.number, index, usual)
-        p.changeVisualShape(owner.number, index, rgbaColor=colour, physicsClientId=self._client)
+        p.changeVisualShape(owner.number, index, rgbaColor=color, physicsClientId=self._client)
 
-    def _paint(self, number: int, index: int, colours: list[Colour]) -> None:
-        for place, colour in enumerate(colours):
-            p.changeVisualShape(number, index, shapeIndex=place, rgbaColor=colour, physicsClientId=self._client)
+    def _paint(self, number: int, index: int, colors: list[Color]) -> None:
+        for place, color in enumerate(colors):
+            p.changeVisualShape(number, index, shapeIndex=place, rgbaColor=color, physicsClientId=self._client)
 
     def _set_light(self, brightness: float) -> None:
         self._undo.setdefault("light", partial(setattr, self, "light", self.light))

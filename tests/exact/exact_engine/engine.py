@@ -125,7 +125,7 @@ class ExactEngine:
         raise _lacks("bodies of several forms")
 
     def set_parameter(self, parameter: EngineParameter, owner: tuple[str, ...], *values: float) -> None:
-        if parameter in ("colour", "light"):
+        if parameter in ("color", "light"):
             return  # nothing sees it
         setter = getattr(self, f"_set_{parameter}", None)
         if setter is None:
