@@ -95,7 +95,7 @@ def test_a_further_item_changes_no_other_draw(workshop, rail) -> None:
         workshop,
         rail(
             ("{cart_speed", "{gust: uniform(0 .. 1), cart_speed"),
-            ("set: {", "set: {cart.slider: uniform(-0.1 .. 0.1 m), "),
+            ("joints: {", "joints: {cart.slider: uniform(-0.1 .. 0.1 m), "),
             ("{alive: 1}", "{alive: gust}"),
         ),
     )
