@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 from deepbots_cli.compiler.controllers import RobotBuilder, commanded
 from deepbots_cli.compiler.episodes import (
@@ -95,7 +96,9 @@ def check(document: Document) -> CheckedScenario:
         checked = _check(document)
         if checked.program is None or checked.spec is None or not (checked.spec.evaluation.cases or checked.spec.curriculum):
             return checked
-        variants, program = compile_variants(checked.document, checked.spec, checked.program, checked.findings, _check)
+        sent = frozenset(f"{robot.name}.{field.name}" for robot in checked.program.robots for field in robot.emit)
+        check_variant = partial(_check, sent=sent)
+        variants, program = compile_variants(checked.document, checked.spec, checked.program, checked.findings, check_variant)
         own = {test.name: test.expected for variant in variants for test in variant.tests}
         tests = tuple(replace(test, expected=own.get(test.name, test.expected)) for test in checked.tests)
         return replace(checked, program=None if checked.findings.errors else program, variants=variants, tests=tests)
@@ -104,14 +107,15 @@ def check(document: Document) -> CheckedScenario:
         return CheckedScenario(document, document.findings)
 
 
-def _check(document: Document) -> CheckedScenario:
+def _check(document: Document, sent: frozenset[str] = frozenset()) -> CheckedScenario:
+    """As `check`, without cases and stages. Robots send the fields `sent`, whether the supervisor uses them or not."""
     findings = document.findings
     spec = validate(document.root, findings) if document.root is not None else None
     if document.root is None or spec is None:
         return CheckedScenario(document, findings)
     invalid = invalid_names(document.root, spec.pruned, (found.span for found in findings.errors))
     namespace = Namespace(
-        ValueReader(document.root, findings, {path: kind for path, kind, _ in visit_values(spec)}, invalid), document, spec
+        ValueReader(document.root, findings, {path: kind for path, kind, _ in visit_values(spec)}, invalid), document, spec, sent
     )
     program = _program(namespace)
     tests = scenario_tests(namespace, program)
@@ -182,7 +186,8 @@ def _program(namespace: Namespace) -> Program:
         augmented_signals=frozenset(spec.augment),
         engine=spec.world.engine,
     )
-    return with_reading_ages(program)
+    sending = tuple(replace(robot, emit=builder.sent()) for robot, builder in zip(robots, builders, strict=True))
+    return with_reading_ages(replace(program, robots=sending))
 
 
 def _joined(findings: Findings) -> Findings:

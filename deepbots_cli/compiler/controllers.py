@@ -305,18 +305,35 @@ class RobotBuilder:
     # What it sends
 
     def _define_fields(self) -> None:
-        emit = self.robot.spec.emit
-        entries = (
-            [(name, (*self.path, "emit", name)) for name in emit]
-            if isinstance(emit, dict)
-            else [(name, (*self.path, "emit", i)) for i, name in enumerate(emit)]
-        )
+        emit, entries = self.robot.spec.emit, list[tuple[str, NodePath]]()
+        match emit:
+            case None:
+                entries = [(name, (*self.path, "sensors", name)) for name in self.robot.spec.sensors]
+            case dict():
+                entries = [(name, (*self.path, "emit", name)) for name in emit]
+            case _:
+                entries = [(name, (*self.path, "emit", i)) for i, name in enumerate(emit)]
         for name, place in entries:
-            self.namespace.define(f"{self.robot.name}.{name}", Origin.FIELD, place, partial(self._field, name, place))
+            make = partial(self._sensor_field if emit is None else self._field, name, place)
+            self.namespace.define(f"{self.robot.name}.{name}", Origin.FIELD, place, make)
+
+    def sent(self) -> tuple[Expression, ...]:
+        """The values that it sends; without an `emit`, the sensors that the supervisor uses: ask once everything is typed."""
+        is_listed = self.robot.spec.emit is not None
+        return tuple(field for name, field in self.fields.items() if is_listed or self.namespace.is_sent(f"{self.robot.name}.{name}"))
+
+    def _sensor_field(self, name: str, place: NodePath) -> Symbol:
+        """The field of a sensor that no `emit` lists."""
+        full, sensor = f"{self.robot.name}.{name}", self.own[name]
+        if sensor.type is None:
+            return Symbol(full, None)
+        typed = Reference(sensor.type, 0, len(name), sensor)
+        self.fields[name] = Expression(name, self.values.key_span(place), name, typed, f"{self.robot.name}.emit.{name}")
+        return Symbol(full, sensor.type._replace(known=Known.STEP))
 
     def _field(self, name: str, place: NodePath) -> Symbol:
         full = f"{self.robot.name}.{name}"
-        emit = self.robot.spec.emit
+        emit = self.robot.spec.emit or ()
         text = self.values.text(place, emit[name] if isinstance(emit, dict) else name)
         if not isinstance(emit, dict) and name not in self.own:
             sensors = list(self.robot.spec.sensors)
@@ -347,7 +364,10 @@ class RobotBuilder:
         return symbols
 
     def finish(self, timestep: float, action: Sequence[ActionPart], routes: tuple[Route, Route]) -> Robot:
-        """Type everything that is left; the world's timestep is `timestep` s, `routes` are those to and from robots."""
+        """Type everything that is left; the world's timestep is `timestep` s, `routes` are those to and from robots.
+
+        What the robot sends is added later (`sent`).
+        """
         received = self._receive()
         scope = RobotScope(self.namespace, Context.APPLY, self.robot.name, {**self.own, **received})
         actuators = Actuators(self.robot, self.namespace)
@@ -367,7 +387,7 @@ class RobotBuilder:
             self.sensing.compiled(timestep),
             tuple(found.actuator for found in driven.values()),
             tuple(self.received.values()),
-            tuple(self.fields.values()),
+            (),
             tuple(commands),
             tuple(_used_variables(action, commands, self.received)),
             to_robot.route_for(name, "to_robot"),

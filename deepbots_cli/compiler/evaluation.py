@@ -265,6 +265,10 @@ class _VariantCompiler:
             timestep = "the timestep, " if word == "stage" else ""
             kept = f"{timestep}the observation, the action or the messages"
             help = f"a {word} may change the world, but not {kept}: they must not depend on its `set`"
+            for robot, base in zip(program.robots, self._base.robots, strict=True):
+                if len(robot.emit) > len(base.emit):  # without an `emit`, as otherwise they would be equal
+                    listed = ", ".join(field.name for field in robot.emit)
+                    help = f"`{robot.name}` sends only what the scenario itself uses; let it always send all: `emit: [{listed}]`"
             self._values.add("DB613", here, f"the {word} `{name}` changes the interface of the policy", help, notes=tuple(lines[:5]))
         return not lines
 

@@ -98,10 +98,11 @@ class Definition:
 class Namespace:
     """All definitions of one scenario."""
 
-    def __init__(self, values: ValueReader, document: Document, scenario: Scenario) -> None:
+    def __init__(self, values: ValueReader, document: Document, scenario: Scenario, sent: frozenset[str] = frozenset()) -> None:
         self.values = values
         self.document = document
         self.scenario = scenario
+        self._sent = sent  # fields that robots send although nothing here may use them
         self.files: dict[NodePath, FilePath] = {}
         """Files that the world is made from, by where the scenario names them."""
         self.definitions: dict[str, Definition] = {}
@@ -378,6 +379,10 @@ class Namespace:
             entry.symbol = entry.symbol or Symbol(entry.name, None)
         self._being_resolved.clear()
 
+    def is_sent(self, name: str) -> bool:
+        """Whether the supervisor uses this message field, or the robot sends it anyway."""
+        return name in self._sent or (name in self.definitions and self.definitions[name].uses > 0)
+
     def origin(self, name: str) -> Origin | None:
         definition = self.definitions.get(name)
         return definition.origin if definition else None
@@ -501,6 +506,11 @@ class SupervisorScope(_Scope):
         resolved = self.namespace.robots.get(robot)
         if origin is None and resolved is not None and rest in resolved.spec.sensors and not self.namespace.is_invalid(name):
             return Symbol(name, None, refusal=f"robot `{robot}` does not send it; add `{rest}` to its `emit`")
+        if origin is Origin.FIELD and self.context is Context.TEST and resolved is not None and resolved.spec.emit is None:
+            known = [sensor for sensor in resolved.spec.sensors if sensor == rest or self.namespace.is_sent(f"{robot}.{sensor}")]
+            if not self.namespace.is_sent(name):
+                listed = ", ".join(known)
+                return Symbol(name, None, refusal=f"only this test uses it, so `{robot}` does not send it; write `emit: [{listed}]`")
         return self.namespace.symbol(name)
 
     def _built_in(self, name: str) -> Symbol | None:

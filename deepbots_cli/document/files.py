@@ -61,19 +61,27 @@ class UnusableFile:
         if near := _similar(self.path):
             return f"did you mean {near}?"
         if self.nearest_name:
-            return f"did you mean `{self.nearest_name}`, which is shipped with deepbots?"
+            meant = f"did you mean `{self.nearest_name}`, which is shipped with deepbots?"
+            return meant if self.is_name else f"{meant} {self.path} does not exist"
         return f"paths are relative to the file that contains them; {self.path} does not exist"
+
+    @property
+    def is_name(self) -> bool:
+        return not self.path.suffix and "/" not in self.reference
 
     @property
     def nearest_name(self) -> str | None:
         """The shipped file that was probably meant."""
-        return nearest_word(self.reference, self.library.names()) if self.library and self.reason == "missing" else None
+        return nearest_word(self.path.stem, self.library.names()) if self.library and self.reason == "missing" else None
 
     @property
     def notes(self) -> tuple[str, ...]:
-        names = self.library.names() if self.library else []
+        """The shipped files, if a name was written and no path."""
+        if self.library is None or not self.is_name:
+            return ()
+        names = self.library.names()
         more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
-        return (f"shipped {self.library.noun}s are {', '.join(names[:_MAX_LISTED])}{more}",) if self.library else ()
+        return (f"shipped {self.library.noun}s are {', '.join(names[:_MAX_LISTED])}{more}",)
 
 
 def _similar(path: Path) -> str | None:

@@ -25,10 +25,10 @@ _COUNTED_ORIGINS = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMEN
 def unused_definition(context: RuleContext) -> Iterator[Finding]:
     """DB205: a parameter, action variable, field, signal, sensor, actuator or message value is defined and never used.
 
-    Most often the name is misspelt elsewhere, or the definition is left over from an earlier version. A sensor is used if `emit`, `apply`
-    or an expression of the task uses it. An actuator without a command has no effect: the joint moves freely. Unused parts of an included
-    robot file are not reported, because they describe the robot and not the task. Definitions of an extended file that the scenario
-    removes are not reported either.
+    Most often the name is misspelt elsewhere, or the definition is left over from an earlier version. A sensor is used if `emit`, `apply`,
+    the observation or an expression of the task uses it. An actuator without a command has no effect: the joint moves freely. Unused parts
+    of an included robot file are not reported, because they describe the robot and not the task. Definitions of an extended file that the
+    scenario removes are not reported either.
 
     Example::
 
@@ -42,12 +42,12 @@ def unused_definition(context: RuleContext) -> Iterator[Finding]:
         robots:
           cart:
             sensors: {rolling: {type: joint_velocity, joints: [wheel_*]}}
-            emit: [pole_angle, rolling]
         observation: {cart.rolling: -10 .. 10 rad/s}
     """
     used = {name for each in context.checked.variants if each.namespace for name, known in each.namespace.definitions.items() if known.uses}
     for name, definition in context.namespace.definitions.items():
-        if definition.origin in _COUNTED_ORIGINS and definition.uses == 0 and name not in used:
+        is_sensor = definition.path[2:3] == ("sensors",)  # of a robot without `emit`
+        if definition.origin in _COUNTED_ORIGINS and definition.uses == 0 and name not in used and not is_sensor:
             headline = f"`{name}` is {definition.origin.value} that nothing uses"
             fix = removal_fix(context.values.root, definition.path)
             yield Finding("DB205", context.values.key_span(definition.path), headline, "use it, or remove it", fix=fix)
@@ -68,7 +68,7 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
         used = {name for value in (*robot.emit, *(command.target for command in robot.commands)) for name in referenced_names(value.typed)}
         driven = {command.actuator.name for command in robot.commands}
         unused = [
-            (("sensors", sensor.name), "a sensor that nothing reads", "send it under `emit`, or remove it")
+            (("sensors", sensor.name), "a sensor that nothing uses", "use it, or remove it")
             for sensor in robot.sensors
             if sensor.name not in used and f"{robot.name}.{sensor.name}" not in read
         ]

@@ -421,7 +421,6 @@ def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
             base: fixed
             joints: {panda_joint2: {range: -10 .. 10 deg}}
             sensors: {angles: {type: joint_position, joints: [panda_joint1, panda_joint2]}}
-            emit: [angles]
         observation: {arm.angles: auto}
 
     Instead::
@@ -432,7 +431,6 @@ def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
             base: fixed
             joints: {panda_joint2: {range: -10 .. 10 deg}}
             sensors: {angles: {type: joint_position, joints: [panda_joint1, panda_joint2]}}
-            emit: [angles]
         observation: {arm.angles.panda_joint1: auto, arm.angles.panda_joint2: auto}
     """
     for entry in context.program.agent.observation:

@@ -177,7 +177,6 @@ def limp_at_start(context: RuleContext) -> Iterator[Finding]:
             base: fixed
             pose: {y: 2 m}
             actuators: {shoulder: {type: torque_motor, joint: lbr_iiwa_joint_2}}
-            emit: []
             apply: {shoulder: -60 N*m}
         reset: {joints: {arm.lbr_iiwa_joint_2: 60 deg}}
 
@@ -190,7 +189,6 @@ def limp_at_start(context: RuleContext) -> Iterator[Finding]:
             base: fixed
             pose: {y: 2 m}
             actuators: {shoulder: {type: position_motor, joint: lbr_iiwa_joint_2}}
-            emit: []
             apply: {shoulder: 60 deg}
         reset: {joints: {arm.lbr_iiwa_joint_2: 60 deg}}
     """
@@ -426,13 +424,13 @@ def rays_meet_nothing(context: RuleContext) -> Iterator[Finding]:
     Example::
 
         world: {arena: {size: 12 2 m}}
-        robots: {cart: {sensors: {ahead: {type: sonar, link: body, pose: {z: 20 cm}, range: 0 .. 8 m}}, emit: [pole_angle, ahead]}}
+        robots: {cart: {sensors: {ahead: {type: sonar, link: body, pose: {z: 20 cm}, range: 0 .. 8 m}}}}
         observation: {cart.ahead: auto}
 
     Instead::
 
         world: {arena: {size: 12 2 m, wall_height: 50 cm}}
-        robots: {cart: {sensors: {ahead: {type: sonar, link: body, pose: {z: 20 cm}, range: 0 .. 8 m}}, emit: [pole_angle, ahead]}}
+        robots: {cart: {sensors: {ahead: {type: sonar, link: body, pose: {z: 20 cm}, range: 0 .. 8 m}}}}
         observation: {cart.ahead: auto}
     """
     here, variants = Heights(context.analysis), [Heights(analysis) for analysis in context.versions[1:]]

@@ -165,12 +165,12 @@ def observation_saturates(context: RuleContext) -> Iterator[Finding]:
 
     Example::
 
-        robots: {cart: {sensors: {accel: {type: accelerometer, link: body}}, emit: [pole_angle, accel]}}
+        robots: {cart: {sensors: {accel: {type: accelerometer, link: body}}}}
         observation: {cart.accel: -5 .. 5 m/s^2}
 
     Instead::
 
-        robots: {cart: {sensors: {accel: {type: accelerometer, link: body}}, emit: [pole_angle, accel]}}
+        robots: {cart: {sensors: {accel: {type: accelerometer, link: body}}}}
         observation: {cart.accel: -15 .. 15 m/s^2}
     """
     yield from _saturated_at_start(context)

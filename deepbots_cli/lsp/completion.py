@@ -477,7 +477,7 @@ def _names_in_text(kind: str, path: NodePath, data: Any) -> Iterator[str]:
         yield from (name for name in found if not _defines(path, name)) if isinstance(found, dict) else ()
     robots = value_at(data, ("robots",)) if kind == "value" else ""
     for robot in robots if isinstance(robots, dict) else ():
-        sent = value_at(data, ("robots", robot, "emit"))
+        sent = value_at(data, ("robots", robot, "emit")) or value_at(data, ("robots", robot, "sensors"))
         yield from (f"{robot}.{name}" for name in sent if isinstance(name, str) and name) if isinstance(sent, (dict, list)) else ()
 
 

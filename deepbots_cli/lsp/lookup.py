@@ -484,9 +484,10 @@ def _defined_name_text(view: CursorView, found: KeyOrValue) -> str | None:
     if view.analysis is None or checked is None or checked.namespace is None or checked.document.root is None:
         return None
     defined = next((one for one in checked.namespace.definitions.values() if one.path == found.path and one.symbol is not None), None)
+    is_sensor = found.path[:1] == ("robots",) and found.path[2:3] == ("sensors",)
     if defined is not None and defined.symbol is not None:
-        return f"`{found.text}`: {defined.origin.value}, {describe_symbol(defined.symbol)}"
-    if found.path[:1] == ("robots",) and found.path[2:3] == ("sensors",):
+        return f"`{found.text}`: {'a sensor' if is_sensor else defined.origin.value}, {describe_symbol(defined.symbol)}"
+    if is_sensor:
         boards = (reading.scope for reading in view.analysis.readings if isinstance(reading.scope, RobotScope))
         own = next((board.own[found.text] for board in boards if board.robot == found.path[1] and found.text in board.own), None)
         return f"`{found.text}`: a sensor, {describe_symbol(own)}" if own is not None else None

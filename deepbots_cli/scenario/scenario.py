@@ -114,8 +114,8 @@ class Robot(Section):
     """Actuators, by names of your choice."""
     receive: dict[LocalName, Annotated[Scalar, Expression("receive")]] | None = None
     """Values that the supervisor sends besides the action: a name and an expression each."""
-    emit: Emitted = ()
-    """Values that the robot sends in every timestep: a list of sensors, or names with expressions over its sensors."""
+    emit: Emitted | None = None
+    """What the robot sends in every timestep: sensors, or names with expressions over them. Default: sensors that the supervisor uses."""
     apply: dict[Annotated[str, Reference("actuator")], Annotated[Scalar, Expression("apply", boolean=False)]] = {}
     """The command of each actuator, from received values and sensors."""
 

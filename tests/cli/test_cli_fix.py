@@ -49,7 +49,7 @@ UNSAFE = {
     "a joint": ("pole_hinge}", "pole_hnge}"),
     "a name in an expression": ("abs(x) > track", "abs(x) > trak"),
     "a message field": ("abs(cart.pole_angle)", "abs(cart.pole_angel)"),
-    "a sensor": ("emit: [pole_angle]", "emit: [pole_angl]"),
+    "an actuator": ("apply: {wheels:", "apply: {wheel:"),
 }
 
 
@@ -79,6 +79,12 @@ def test_a_misspelt_name_is_put_right_only_where_guesses_are_allowed(deepbots, s
     assert path.read_text() == faulty(change)
     assert deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes").code == 0
     assert path.read_text() == CARTPOLE
+
+
+def test_a_misspelt_sensor_is_put_right(deepbots, scenario):
+    path = scenario(CARTPOLE.replace("    apply: {", "    emit: [pole_angl]\n    apply: {"))
+    assert deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes").code == 0
+    assert "    emit: [pole_angle]\n" in path.read_text()
 
 
 @pytest.mark.parametrize("comment", ["  # deepbots: ignore[DB603]\n", "\n  # deepbots: ignore[DB603, DB703]\n"])

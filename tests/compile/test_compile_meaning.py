@@ -218,3 +218,38 @@ def test_the_stamp_of_a_message_changes_with_its_fields(workshop, rail, emit: st
     plain = workshop.compile(rail(sensors)).program.robots[0].from_robot
     other = workshop.compile(rail(sensors, ("emit: [place, rate, lean, turn]", f"emit: [{emit}]"))).program.robots[0].from_robot
     assert plain.layout_hash != other.layout_hash
+
+
+EMIT = "    emit: [place, rate, lean, turn]\n"
+SPIN = ("    actuators:", "      spin: {type: joint_velocity, joint: hinge}\n    actuators:")
+
+
+def sent(compiled: api.Compiled) -> list[str]:
+    return [field.name for field in compiled.program.robots[0].emit]
+
+
+def test_without_emit_a_robot_sends_the_sensors_that_the_supervisor_uses_in_the_order_of_their_declaration(workshop, rail) -> None:
+    listed = workshop.compile(rail())
+    first = ("      place:", "      spin: {type: joint_velocity, joint: hinge}\n      place:")
+    plain = workshop.compile(rail((EMIT, "")))
+    assert plain.code == listed.code
+    assert plain.program.robots[0].from_robot == listed.program.robots[0].from_robot
+    assert sent(workshop.compile(rail((EMIT, ""), first))) == ["place", "rate", "lean", "turn"]
+    for use in ("signals: {spun: delta(cart.spin)}", "scripts: {mine: {drive: {forward: cart.spin > 0 rad/s, backward: true}}}"):
+        assert sent(workshop.compile(rail((EMIT, ""), first, ("reset:", f"{use}\nreset:")))) == ["spin", "place", "rate", "lean", "turn"]
+
+
+def test_a_case_sends_what_the_scenario_sends_even_if_it_does_not_use_it(workshop, rail) -> None:
+    ends = "evaluation: {cases: {far: {set: {termination.failure: {off: abs(cart.place) > 9 m}}}}}\nreset:"
+    text = rail((EMIT, ""), SPIN, ("    fallen:", "    wild: cart.spin > 99 rad/s\n    fallen:"), ("reset:", ends))
+    (case,) = workshop.compile(text).program.cases
+    assert [field.name for field in case.program.robots[0].emit] == ["place", "rate", "lean", "turn", "spin"]
+
+
+def test_a_case_or_a_test_that_needs_a_further_sensor_is_given_the_whole_line(workshop, rail) -> None:
+    case = "evaluation: {cases: {wild: {set: {termination.failure: {off: cart.spin > 9 rad/s}}}}}\nreset:"
+    test = "tests: {calm: {policy: zero, expect: {always: cart.spin < 9 rad/s}}}\nreset:"
+    for use, code in ((case, "DB613"), (test, "DB407")):
+        (found,) = workshop.lint(rail((EMIT, ""), SPIN, ("reset:", use)))
+        assert found.code == code
+        assert (found.help or "").endswith("`emit: [place, rate, lean, turn, spin]`")

@@ -71,7 +71,7 @@ BROKEN = {
     "\naction:": "\nactoin:",
     "    sensors:": "    sensor:",
     "    actuators:": "    actuator:",
-    "    emit:": "    emits:",
+    "    apply:": "    emits: [pole_angle]\n    apply:",
     "    urdf:": "    urfd:",
     "type: joint_position": "type: joint_angle",
     "joint: pole_hinge": "joint: pole",
@@ -80,7 +80,7 @@ BROKEN = {
     "wheel_speed: 5 rad/s": "wheel_speed: 5 rd/s",
     "urdf: cartpole": "urdf: cart",
     "    urdf: cartpole": "    include: cart.yaml",
-    "emit: [pole_angle]": "emit: [pole_angel]",
+    "    apply: {wheels": "    emit: [pole_angel]\n    apply: {wheels",
     "x:         position(cart).x": "x:         position(cart).q",
     "forward: 1, backward: -1": "forward: {drive: 1}, backward: -1",
 }

@@ -118,7 +118,7 @@ def test_the_joints_of_the_robot_are_offered_in_a_list(typed_for: Type) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "names"),
     [
-        ("emit: [pole_angle]", "emit: [§]", {"pole_angle"}),
+        ("    apply: {wheels", "    emit: [§]\n    apply: {wheels", {"pole_angle"}),
         ("  alive: 1\n", "  alive: §\n", {"x", "speed", "cart.pole_angle", "fall_angle"}),
         ("  tip_speed:       -2 .. 2 m/s\n", "  §\n", {"tip_speed", "previous_action"}),
         ("joints: {cart.pole_hinge: uniform(-1 .. 1 deg)}", "joints:\n    §", {"cart.pole_hinge"}),

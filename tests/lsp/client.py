@@ -202,6 +202,15 @@ def offset(text: str, place: Message) -> int:
     return start + len(line.encode("utf-16-le")[: 2 * place["character"]].decode("utf-16-le"))
 
 
+def place_of(file: str, marked: str) -> tuple[str, int, int]:
+    """The name of a shipped file, with the line and the column of the mark `¦` in its text."""
+    before, after = marked.split("¦")
+    text = next(path for top in ("scenarios", "robots") for path in (ROOT / top).rglob(file)).read_text(encoding="utf-8")
+    assert text.count(before + after) == 1, marked
+    lines = text[: text.index(before + after) + len(before)].split("\n")
+    return file, len(lines) - 1, len(lines[-1])
+
+
 def edited(text: str, edits: list[Message]) -> str:
     """The text with edits made."""
     for edit in sorted(edits, key=lambda edit: offset(text, edit["range"]["start"]), reverse=True):

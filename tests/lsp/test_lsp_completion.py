@@ -31,7 +31,7 @@ def typing(client, pit, project):
         ("  n_steps: 64\n", "  n_¦\n", {"n_steps", "n_epochs", "clip_range"}, {"buffer_size", "algorithm"}),
         ("messages: {format: struct}\n", "augment: {at: {value: position(roller).x, ¦}}\n", {"noise"}, {"value", "range"}),
         ("messages: {format: struct}\n", "mes¦\n", {"messages", "goal", "disturbances"}, {"world", "robots", "timestep"}),
-        ("    emit: [gyro, accel]\n", "    emit: [gyro, accel]\n    ¦\n", {"receive", "groups", "base"}, {"emit", "urdf", "world"}),
+        ("    apply: {pitch", "    ¦\n    apply: {pitch", {"receive", "groups", "emit"}, {"apply", "urdf", "world"}),
     ],
 )
 def test_keys_are_those_of_the_place_that_are_not_there_yet(typing, old, new, offered, not_offered):
@@ -58,7 +58,7 @@ def test_words_of_the_language_are_offered_where_one_is_due(typing, old, new, of
     [
         ("joint: pitch", "joint: ¦", {"pitch", "yaw"}),
         ("gyro, link: ball}", "gyro, link: ¦", {"ball", "weight", "carrier"}),
-        ("emit: [gyro, accel]", "emit: [gyro, ¦", {"gyro", "accel"}),
+        ("    apply: {pitch", "    emit: [gyro, ¦\n    apply: {pitch", {"gyro", "accel"}),
         ("{pitch_motor: pitch * speed", "{¦: pitch * speed", {"pitch_motor"}),
         ("{roller.gyro: -5", "{rol¦: -5", {"roller.gyro", "reach", "previous_action"}),
         ("forward_only: {roll: forward}", "forward_only: {roll: {¦", {"forward", "turn_left"}),
@@ -151,6 +151,7 @@ def test_paths_are_completed_within_the_project_and_nowhere_else(typing):
     assert "../robots/urdf/" in typing("urdf: ../robots/urdf/roller.urdf", "urdf: ../robots/¦")
     assert "../robots/urdf/rover.urdf" in typing("urdf: ../robots/urdf/roller.urdf", "urdf: ../robots/urdf/¦")
     assert "cartpole" in typing("urdf: ../robots/urdf/roller.urdf", "urdf: ¦")
+    assert "cartpole_long" in typing("summary:", "extends: ¦\nsummary:")
     assert typing("urdf: ../robots/urdf/roller.urdf", "urdf: ../../¦") == []
     assert typing("urdf: ../robots/urdf/roller.urdf", "urdf: /¦") == []
 
@@ -235,7 +236,7 @@ def test_where_a_name_of_ones_own_is_due_an_example_is_offered_and_nothing_else(
 
 
 def test_while_a_robot_has_a_mistake_its_joints_are_still_offered(client, pit):
-    client.change(pit, client.texts[pit].replace("    emit: [gyro, accel]\n", "    emit: [gyro, accel]\n    receive:\n"))
+    client.change(pit, client.texts[pit].replace("    apply: {", "    receive:\n    apply: {"))
     assert client.findings(pit) != []
     assert {"pitch", "yaw"} <= set(client.labels(pit, "joint: p¦itch"))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.lsp.client import offset
+from tests.lsp.client import offset, place_of
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,6 @@ def test_expressions_tell_type_unit_and_interval(client, pit, around, said):
         ("gyro: {type: gy¦ro", ["`gyro`:"]),
         ("gyro: {ty¦pe: gyro", ["one of", "`camera`"]),
         ("joint: pi¦tch", ["a continuous joint", '<joint name="pitch"']),
-        ("emit: [gy¦ro", ["a sensor"]),
         ("escap¦ed: reach", ["an ending", "a truth value"]),
         ("rea¦ch:  running", ["a signal", "a length (m), at least 0 m"]),
         ("prog¦ress: delta", ["a plain number", "different in every step"]),
@@ -83,45 +82,44 @@ def test_while_the_text_is_broken_elsewhere_hover_and_definition_go_on(client, p
     client.change(pit, "# a new line\n" + text.replace("solved: {", "solved: {{"))
     assert [finding["code"] for finding in client.findings(pit)] == ["DB001"]
     assert "a length (m)" in client.hover(pit, "reach > rad¦ius")
-    assert client.definition(pit, "reach > rad¦ius") == [("pit_escape.yaml", 3, 13)]
+    assert client.definition(pit, "reach > rad¦ius") == [place_of("pit_escape.yaml", "¦radius: 2.7 m")]
 
 
 @pytest.mark.parametrize(
     ("around", "place"),
     [
-        ("reach > rad¦ius", ("pit_escape.yaml", 3, 13)),
-        ("delta(met¦ric)", ("pit_escape.yaml", 26, 2)),
-        ("pitch_motor: pit¦ch * speed", ("pit_escape.yaml", 20, 19)),
-        ("{pitch_mo¦tor: pitch", ("pit_escape.yaml", 11, 6)),
-        ("{roller.gy¦ro: -5", ("pit_escape.yaml", 13, 11)),
-        ("{backward: roller.gyro.¦y", ("pit_escape.yaml", 13, 11)),
-        ("forward_only: {roll: forw¦ard}", ("pit_escape.yaml", 20, 6)),
-        ("joint: pi¦tch", ("roller.urdf", 72, 15)),
-        ("urdf: ../robots/urdf/rol¦ler.urdf", ("roller.urdf", 0, 0)),
-        ("position(rol¦ler).xy", ("pit_escape.yaml", 6, 2)),
+        ("reach > rad¦ius", ("pit_escape.yaml", "¦radius: 2.7 m")),
+        ("delta(met¦ric)", ("pit_escape.yaml", "¦metric: |")),
+        ("pitch_motor: pit¦ch * speed", ("pit_escape.yaml", "¦pitch: 1,")),
+        ("{pitch_mo¦tor: pitch", ("pit_escape.yaml", "¦pitch_motor: {type")),
+        ("{roller.gy¦ro: -5", ("pit_escape.yaml", "¦gyro: {type")),
+        ("{backward: roller.gyro.¦y", ("pit_escape.yaml", "¦gyro: {type")),
+        ("forward_only: {roll: forw¦ard}", ("pit_escape.yaml", "¦forward:    {")),
+        ("joint: pi¦tch", ("roller.urdf", 'joint name="¦pitch"')),
+        ("urdf: ../robots/urdf/rol¦ler.urdf", ("roller.urdf", "¦<?xml")),
+        ("position(rol¦ler).xy", ("pit_escape.yaml", "¦roller:\n")),
     ],
 )
 def test_a_name_leads_to_its_definition(client, pit, around, place):
-    found = client.definition(pit, around)
-    assert found == ([place] if place else [])
+    assert client.definition(pit, around) == [place_of(*place)]
 
 
 @pytest.mark.parametrize(
     ("around", "place"),
     [
-        ("log(clamp(proxi¦mity", ("epuck.yaml", 3, 2)),
-        ("include: ../rob¦ots/epuck.yaml", ("epuck.yaml", 0, 0)),
-        ("clearance(epuck, obst¦acle)", ("find_ball_random.yaml", 7, 2)),
+        ("log(clamp(proxi¦mity", ("epuck.yaml", "¦proximity:\n")),
+        ("include: ../rob¦ots/epuck.yaml", ("epuck.yaml", "¦# A robot file is")),
+        ("clearance(epuck, obst¦acle)", ("find_ball_random.yaml", "¦obstacle:\n    count")),
         (
             "few:  {set: {reset.layout: scattered, obstacles: integer(1 .. 3),  objects.obstacle.one_of: *uns¦een}}",
-            ("find_ball_random.yaml", 76, 33),
+            ("find_ball_random.yaml", "one_of: ¦&unseen"),
         ),
-        ("none:\n      set:\n        reset.lay¦out: scattered", ("find_ball_random.yaml", 54, 2)),
-        ("layout: {scat¦tered: 88 %", ("find_ball_random.yaml", 56, 4)),
+        ("none:\n      set:\n        reset.lay¦out: scattered", ("find_ball_random.yaml", "reset:\n  ¦layout: {")),
+        ("layout: {scat¦tered: 88 %", ("find_ball_random.yaml", "layouts:\n    ¦scattered:")),
     ],
 )
 def test_definitions_are_found_in_included_files_by_aliases_and_by_paths_of_settings(client, ball, around, place):
-    assert client.definition(ball, around) == [place]
+    assert client.definition(ball, around) == [place_of(*place)]
 
 
 def test_an_included_piece_answers_as_the_part_of_the_scenario_that_it_is(client, ball, project):

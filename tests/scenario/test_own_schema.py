@@ -124,7 +124,9 @@ def test_a_robot_that_is_added_later_is_no_mistake(own: Own) -> None:
 
 
 def test_names_that_are_added_later_are_no_mistake(own: Own) -> None:
-    later = CARTPOLE.replace("emit: [pole_angle]", "emit: [pole_angle, turn]").replace("  cart.pole", "  cart.turn: auto\n  cart.pole")
+    later = CARTPOLE.replace("    apply: {", "    emit: [pole_angle, turn]\n    apply: {").replace(
+        "  cart.pole", "  cart.turn: auto\n  cart.pole"
+    )
     assert faults(own(CARTPOLE), data(later)) == []
 
 
@@ -139,12 +141,12 @@ FAULTS: dict[str, tuple[str, str, tuple[Step, ...]]] = {
     ),
     "an unknown joint of a start": ("cart.pole_hinge: uniform", "cart.pole_hing: uniform", ("reset", "joints")),
     "an unknown joint to be changed": (
-        "    emit:",
-        "    joints: {pole_hing: {damping: 0 N*m*s/rad}}\n    emit:",
+        "    apply:",
+        "    joints: {pole_hing: {damping: 0 N*m*s/rad}}\n    apply:",
         ("robots", "cart", "joints"),
     ),
-    "an unknown link to be changed": ("    emit:", "    links: {pol: {mass: 1 kg}}\n    emit:", ("robots", "cart", "links")),
-    "an unknown member of a group": ("    emit:", "    groups: {all: [pol]}\n    emit:", ("robots", "cart", "groups", "all", 0)),
+    "an unknown link to be changed": ("    apply:", "    links: {pol: {mass: 1 kg}}\n    apply:", ("robots", "cart", "links")),
+    "an unknown member of a group": ("    apply:", "    groups: {all: [pol]}\n    apply:", ("robots", "cart", "groups", "all", 0)),
     "an unknown key": ("max_torque: 10 N*m", "torque: 10 N*m", ("robots", "cart", "actuators", "wheels")),
     "an unknown kind": ("joint_position", "joint_angle", ("robots", "cart", "sensors", "pole_angle", "type")),
     "a wrong type": ("joint: pole_hinge", "joint: 3", ("robots", "cart", "sensors", "pole_angle", "joint")),
@@ -161,7 +163,7 @@ def test_a_fault_is_reported_once_and_in_its_place(own: Own, old: str, new: str,
     "patterns", ["wheel_*", "'*_left'", "wheel_?????_left", "'wheel_[fr]*'", "[wheel_front_left, 'wheel_rear_*']", "[rear]", "rear"]
 )
 def test_patterns_and_groups_are_no_mistake(own: Own, patterns: str) -> None:
-    text = CARTPOLE.replace("    emit:", "    groups: {rear: [wheel_rear_*]}\n    emit:").replace("[wheel_*]", patterns)
+    text = CARTPOLE.replace("    apply:", "    groups: {rear: [wheel_rear_*]}\n    apply:").replace("[wheel_*]", patterns)
     assert faults(own(text), data(text)) == []
 
 

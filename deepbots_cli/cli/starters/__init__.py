@@ -201,7 +201,7 @@ def _add_joint_motor(draft: Draft, name: str, unit: str, joints: Sequence[Joint]
     draft.motor(f"drive_{name}", "velocity_motor", group, joints, f"push * {short_number(top)} {unit}/s")
     ends = [min(abs(end), 5.0) for joint in joints for end in (joint.limit.lower, joint.limit.upper) if end]
     measures: dict[str, object] = {"unit": unit, "top": top, "span": min(ends, default=3.0), "ends": bool(ends)}
-    return {"name": name, "group": group, "sent": f"{name}, {name}_speed", "end": f"at_end_of_{name}", **measures}
+    return {"name": name, "group": group, "end": f"at_end_of_{name}", **measures}
 
 
 def hover(draft: Draft) -> dict[str, object]:
