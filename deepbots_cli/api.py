@@ -224,15 +224,15 @@ def build_batch(program: Program, count: int, *, engine: str = "mujoco", fixed: 
     from deepbots_cli.codegen import generate_module, load_module
     from deepbots_cli.codegen.text import class_name
     from deepbots_cli.program.identity import digest
+    from deepbots_cli.runtime.copies import make_batch
 
     name, mark = class_name(program.name), digest(program)[:12]
     of_batch = load_module(generate_module(program, "batch"), f"deepbots_batch_{name}", f"<deepbots {name} {mark} batch>")
     of_one = load_module(generate_module(program), f"deepbots_generated_{name}", f"<deepbots {name} {mark}>")
-    made = engines.create_batch(engine, program.world, count)
-    singles = [vars(of_one)[f"{name}Supervisor"](program, member) for member in made.members]
-    for single in singles:
+    kinds = vars(of_one)[f"{name}Supervisor"], vars(of_batch)[f"{name}Batch"]
+    batch = make_batch(*kinds, program, lambda world: engines.create_batch(engine, world, count))
+    for single in batch.singles:
         single.fixed = fixed
-    batch: BatchSupervisor = vars(of_batch)[f"{name}Batch"](singles, made)
     return batch
 
 

@@ -127,7 +127,6 @@ def batch_obstacles(scenario: Program) -> list[str]:
     """Why a batch cannot hold a scenario; nothing where it can."""
     agent = scenario.agent
     reasons = [
-        (agent.copies is not None, "it has several copies of a robot, which act in one world in turn"),
         (
             bool(agent.images) or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors),
             "it has cameras, whose pictures are drawn world by world",

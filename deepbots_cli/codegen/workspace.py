@@ -253,8 +253,8 @@ class SupervisorPrinter(ClassPrinter):
         """Whether a step of the agent has several timesteps, which are then a method of their own."""
         self.has_history = self.agent.frame_stack > 1 or any(entry.history > 1 for entry in self.agent.observation)
         """Whether the policy sees more than the numbers of the last step."""
-        self.is_of_copy = self.agent.copies is not None
-        """Whether this is the supervisor of one copy among several, whose world goes on for all of them at once."""
+        self.is_of_copy = self.agent.copies is not None and target is SCALAR
+        """Whether this is the supervisor of one copy among several, whose world goes on for all of them at once; not in a batch."""
         self.tick = "self.timestep_count" if self.repeats_actions else "self.step_count"
         """Code that counts the timesteps of the episode."""
         self.choices = self.agent.choices

@@ -13,7 +13,10 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.program import Program
 
 MIN_WORLDS = 8
-"""Worlds from which on a batch is faster: what it does per step over arrays takes as long as 5 single worlds."""
+"""Worlds, or copies of a robot in all worlds, from which on a batch is faster.
+
+What a batch does per step over arrays takes as long as 5 single worlds.
+"""
 
 
 class WorldFactory(Protocol):
@@ -31,16 +34,21 @@ def reasons_against_batch(program: Program, worlds: int, engine: str, build: Wor
     """Why a training steps its worlds one by one; nothing where they are a batch."""
     if engine not in engines.BATCHES:
         return [f"the engine '{engine}' has no batches"]
-    if worlds < MIN_WORLDS:
+    if _rows(program, worlds) < MIN_WORLDS:
         return [f"there are fewer than {MIN_WORLDS} worlds"]
     own = [] if getattr(build, "func", None) is api.build else ["its worlds are made by a function of the caller"]
     stages = [stage.program for stage in program.curriculum]
     return list(dict.fromkeys([*own, *(reason for one in (program, *stages) for reason in batch_obstacles(one))]))
 
 
+def _rows(program: Program, worlds: int) -> int:
+    copies = program.agent.copies
+    return worlds * (copies.count if copies else 1)
+
+
 def stepping_text(program: Program, worlds: int, engine: str, build: WorldFactory) -> str:
     """Whether a training steps its worlds as a batch, and why not; empty where no batch is to be expected."""
-    if engine not in engines.BATCHES or worlds < MIN_WORLDS:
+    if engine not in engines.BATCHES or _rows(program, worlds) < MIN_WORLDS:
         return ""
     reasons = reasons_against_batch(program, worlds, engine, build)
     how = f"one by one: {'; '.join(reasons)}" if reasons else "together, as a batch"

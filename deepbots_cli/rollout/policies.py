@@ -104,15 +104,16 @@ def play_batch(
     """The episodes of `play_episodes` in a batch of worlds, with the likeliest actions; there are at least as many seeds as worlds.
 
     World i sits in row i mod `FORWARD_BATCH_SIZE` of one of several forward passes, and goes through episodes that sit in the same row of
-    `play_episodes`.
+    `play_episodes`. With copies of a robot each world has a forward pass of its own, with a row for each copy.
 
     Returns:
         The same as `play_episodes`. None if a world fails: `play_episodes` then says where, and keeps its episode.
     """
     on_episode, until = on_episode or (lambda done, of: None), until or (lambda episodes: False)
-    size, count = FORWARD_BATCH_SIZE, worlds.count
-    choices = _choices(worlds.singles[0]) if policy.takes_masks else None
-    passes = [ForwardPass(worlds.observation_space, choices) for _ in range(0, count, size)]
+    count, width = len(worlds.singles), worlds.copies
+    size = 1 if has_copies(worlds.singles[0]) else FORWARD_BATCH_SIZE
+    choices = _choices(next(iter(worlds.singles[0].agents.values()))) if policy.takes_masks else None
+    passes = [ForwardPass(worlds.observation_space, choices, size * width) for _ in range(0, count, size)]
     waiting = [deque(range(count + (row - count) % size, len(seeds), size)) for row in range(size)]
     numbers, running = list(range(count)), BatchEpisodes(worlds)
     finished: dict[int, Episode] = {}
@@ -127,9 +128,9 @@ def play_batch(
             for place, forward in enumerate(passes):
                 those = slice(place * size, min(count, (place + 1) * size))
                 if answers[place] is None or not running.resting[those].all():
-                    forward.put_all(seen, those, masks)
+                    forward.put_all(seen, slice(those.start * width, those.stop * width), masks)
                     answers[place] = forward.predict(policy, deterministic=True)
-            outcome = running.step_all(np.concatenate(answers)[:count])
+            outcome = running.step_all(np.concatenate(answers)[: worlds.count])
             if len(worlds.losses) > lost:
                 return None
             begun = []
@@ -139,7 +140,7 @@ def play_batch(
                 on_episode(len(finished), len(seeds))
                 if waiting[row]:
                     numbers[world] = waiting[row].popleft()
-                    passes[world // size].starts[row] = True
+                    passes[world // size].starts[row * width : (row + 1) * width] = True
                     begun.append(world)
                 else:
                     running.resting[world] = True
@@ -149,7 +150,7 @@ def play_batch(
                 worlds.begin(begun, [seeds[numbers[world]] for world in begun])
                 for world in begun:
                     drawn[world] = worlds.singles[world].drawn()
-            seen = worlds.observations() if begun else outcome.observations
+            seen = worlds.observations() if begun else worlds.by_row(outcome.observations)
     except DeepbotsError:
         return None
     return episodes
@@ -203,12 +204,12 @@ class ForwardPass:
     has a `memory` for each row, which it forgets where `starts` says that an episode begins.
     """
 
-    def __init__(self, space: gym.Space[Any], choices: int | None) -> None:
+    def __init__(self, space: gym.Space[Any], choices: int | None, size: int = FORWARD_BATCH_SIZE) -> None:
         self.memory: Any = None
-        self.starts = np.ones(FORWARD_BATCH_SIZE, dtype=bool)
-        self.masks: Array | None = None if choices is None else np.ones((FORWARD_BATCH_SIZE, choices), dtype=bool)
+        self.starts = np.ones(size, dtype=bool)
+        self.masks: Array | None = None if choices is None else np.ones((size, choices), dtype=bool)
         self.observations: Any = (
-            {key: _zeros(part) for key, part in space.spaces.items()} if isinstance(space, gym.spaces.Dict) else _zeros(space)
+            {key: _zeros(part, size) for key, part in space.spaces.items()} if isinstance(space, gym.spaces.Dict) else _zeros(space, size)
         )
 
     def predict(self, policy: Predictor, *, deterministic: bool) -> Any:
@@ -246,8 +247,8 @@ def _choices(world: gym.Env[Any, Any]) -> int | None:
     return int(space.n) if isinstance(space, gym.spaces.Discrete) else int(space.nvec.sum())
 
 
-def _zeros(space: gym.Space[Any]) -> Array:
-    return np.zeros((FORWARD_BATCH_SIZE, *(space.shape or ())), dtype=space.dtype)
+def _zeros(space: gym.Space[Any], rows: int) -> Array:
+    return np.zeros((rows, *(space.shape or ())), dtype=space.dtype)
 
 
 class EvaluationLane:

@@ -135,8 +135,7 @@ class Worlds:
                 accumulator.add(reward, info)
                 self._on_step()
                 if done:
-                    own = terminated or truncated
-                    episode = accumulator.close(info if own else {**info, "ended_by": "another_copy"})
+                    episode = accumulator.close(_own(info, terminated or truncated))
                     self._on_episode(index, episode)
                     endings.append(Ending(row, episode, observation, not terminated))
                 seen.append(observation)
@@ -205,6 +204,11 @@ class Worlds:
             world.close()
 
 
+def _own(info: dict[str, Any], ended: bool) -> dict[str, Any]:
+    """The info of the last step of an agent, whose own episode has `ended` or that of another copy."""
+    return info if ended else {**info, "ended_by": "another_copy"}
+
+
 def _recorded(world: gym.Env[Any, Any]) -> HistoryRecorder:
     return world if isinstance(world, HistoryRecorder) else HistoryRecorder(world)
 
@@ -224,15 +228,18 @@ def observation_digest(observations: Any) -> str:
 
 
 class BatchEpisodes:
-    """The running episodes of a batch, which it adds up as `EpisodeAccumulator` does for a single world; worlds may rest."""
+    """The running episodes of a batch, which it adds up as `EpisodeAccumulator` does for a single world; worlds may rest.
 
-    def __init__(self, batch: BatchSupervisor) -> None:
-        self.batch, self.resting = batch, np.zeros(batch.count, bool)
+    With `of_agents`, there is an episode for each copy of a robot, in the row of the batch, else one for each world.
+    """
+
+    def __init__(self, batch: BatchSupervisor, *, of_agents: bool = False) -> None:
+        self.batch, self._of_agents, self.resting = batch, of_agents, np.zeros(len(batch.singles), bool)
         self.clear()
 
     def clear(self) -> None:
         """All episodes begin."""
-        count = self.batch.count
+        count = self.batch.count if self._of_agents else len(self.resting)
         self.resting[:] = False
         self.returns, self._lengths = np.zeros(count), np.zeros(count, int)
         self._terms = np.zeros((len(self.batch.TERMS), count))
@@ -240,20 +247,21 @@ class BatchEpisodes:
     def step_all(self, actions: Any) -> BatchStep:
         """Act in the worlds that do not rest."""
         outcome = self.batch.advance(actions, self.resting if self.resting.any() else None)
-        self.add(outcome.rewards, outcome.terms, ~self.resting)
+        outcome = outcome if self._of_agents else self.batch.step_by_world(outcome)
+        self.add(outcome.rewards, outcome.terms, (~self.resting).repeat(self.batch.copies if self._of_agents else 1))
         return outcome
 
     def add(self, rewards: Array, terms: Array, running: Any = True) -> None:
-        """Count one step of the worlds that are `running` (truth values)."""
+        """Count one step of the episodes that are `running` (truth values)."""
         self.returns += np.where(running, rewards, 0.0)
         self._lengths += running
         self._terms += np.where(running, terms, 0.0)
 
-    def close(self, world: int, info: Mapping[str, Any], seed: int | None = None, drawn: Mapping[str, Any] | None = None) -> Episode:
-        """The finished episode of a world, given the info of its last step; the next one begins."""
-        terms = dict(zip(self.batch.TERMS, self._terms[:, world].tolist(), strict=True))
-        total, length = float(self.returns[world]), int(self._lengths[world])
-        self.returns[world], self._lengths[world], self._terms[:, world] = 0.0, 0, 0.0
+    def close(self, row: int, info: Mapping[str, Any], seed: int | None = None, drawn: Mapping[str, Any] | None = None) -> Episode:
+        """The finished episode of a row, given the info of its last step; the next one begins."""
+        terms = dict(zip(self.batch.TERMS, self._terms[:, row].tolist(), strict=True))
+        total, length = float(self.returns[row]), int(self._lengths[row])
+        self.returns[row], self._lengths[row], self._terms[:, row] = 0.0, 0, 0.0
         return Episode(total, length, info["is_success"], info["ended_by"], terms, seed, drawn or {})
 
     def repeat(self, histories: Sequence[EpisodeHistory]) -> None:
@@ -270,7 +278,7 @@ class LossRecorder(Protocol):
 
 
 class BatchWorlds(Worlds):
-    """The worlds of a batch, a row each; world i starts from `seeds[i]` at the first reset and runs on from there.
+    """The worlds of a batch, a row for each agent as in `Worlds`; world i starts from `seeds[i]` at the first reset and runs on from there.
 
     In a curriculum, each world enters the next stage when its episode ends. There is a batch for each stage that worlds are in; the
     others rest in it.
@@ -304,12 +312,15 @@ class BatchWorlds(Worlds):
     def _batch_of(self, stage: int) -> BatchSupervisor:
         """The worlds of a stage, built when one of them is first needed."""
         if stage not in self._batches:
-            self._batches[stage] = BatchEpisodes(self._build(stage))
+            self._batches[stage] = BatchEpisodes(self._build(stage), of_agents=True)
         return self._batches[stage].batch
 
     def _in(self, stage: int) -> Array:
         """The worlds that are in a stage, as truth values."""
         return np.array([own == stage for own in self.stages])
+
+    def _rows_in(self, stage: int) -> Array:
+        return self._in(stage).repeat(self._width)
 
     def reset(self) -> Any:
         for stage in dict.fromkeys(self.stages):
@@ -330,7 +341,7 @@ class BatchWorlds(Worlds):
         (_, first), *others = self._batches.items()
         seen = first.batch.observations()
         for stage, episodes in others:
-            rows, more = self._in(stage), episodes.batch.observations()
+            rows, more = self._rows_in(stage), episodes.batch.observations()
             for mine, other in zip(seen.values(), more.values(), strict=True) if isinstance(seen, dict) else [(seen, more)]:
                 mine[rows] = other[rows]
         return seen
@@ -339,7 +350,7 @@ class BatchWorlds(Worlds):
         (_, first), *others = self._batches.items()
         masks = first.batch.action_masks()
         for stage, episodes in others:
-            rows = self._in(stage)
+            rows = self._rows_in(stage)
             masks[rows] = episodes.batch.action_masks()[rows]
         return masks
 
@@ -348,8 +359,7 @@ class BatchWorlds(Worlds):
         infos: list[dict[str, Any]] = [{}] * self.rows
         ended: dict[int, tuple[int, BatchStep, BatchEpisodes]] = {}
         for stage, episodes in self._batches.items():
-            acting = self._in(stage)
-            episodes.resting = ~acting
+            acting, episodes.resting = self._rows_in(stage), ~self._in(stage)
             known = len(episodes.batch.losses)
             with self._recording_failures(stage):
                 outcome = episodes.step_all(actions)
@@ -358,21 +368,21 @@ class BatchWorlds(Worlds):
                     self._recorder.record_lost(stage, loss, episodes.batch.snapshot()[loss.world])
             rewards[acting] = outcome.rewards[acting]
             dones[outcome.done] = True
-            ended |= {world: (place, outcome, episodes) for place, world in enumerate(outcome.done.tolist())}
+            ended |= {row: (place, outcome, episodes) for place, row in enumerate(outcome.done.tolist())}
         begun: dict[int, list[tuple[int, int | None]]] = {}
         endings = []
-        for world in range(self.rows):
+        for row in range(self.rows):
             self._on_step()
-            if world in ended:
-                place, outcome, episodes = ended[world]
-                info = outcome.infos[place]
-                episode = episodes.close(world, info)
+            if row in ended:
+                place, outcome, episodes = ended[row]
+                infos[row], world = outcome.infos[place], row // self._width
+                episode = episodes.close(row, _own(infos[row], outcome.terminated[row] or outcome.truncated[row]))
                 self._on_episode(world, episode)
                 seen = by_part(itemgetter(place), outcome.final_observations)
-                endings.append(Ending(world, episode, seen, not outcome.terminated[world]))
-                infos[world] = info
-                seed = self._next_seed(world)
-                begun.setdefault(self.stages[world], []).append((world, seed))
+                endings.append(Ending(row, episode, seen, not outcome.terminated[row]))
+                if row + 1 == self._width * (world + 1):
+                    seed = self._next_seed(world)
+                    begun.setdefault(self.stages[world], []).append((world, seed))
         for stage, beginning in begun.items():
             self._begin_in(stage, beginning)
         for stage in [stage for stage in self._batches if stage not in self.stages]:

@@ -8,9 +8,11 @@ memories of functions, drawn parameters, readings. A function without a form ove
 
 from __future__ import annotations
 
+import operator
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from functools import reduce
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -21,6 +23,7 @@ from deepbots_cli.errors import EngineError, EvaluationError
 from deepbots_cli.port import BatchEngine
 from deepbots_cli.program.robots import Direction, Sensor
 from deepbots_cli.runtime.columns import BatchMemory, stacked
+from deepbots_cli.runtime.copies import CopyResult, result_of_all
 from deepbots_cli.runtime.devices import BatchDevice, stack_worlds
 from deepbots_cli.runtime.messages import LossyChannel
 from deepbots_cli.runtime.spaces import by_part, frame_indices, joined, mask_of_space
@@ -32,9 +35,9 @@ NOT_FINITE = "not_finite"
 
 
 class BatchStep(NamedTuple):
-    """The result of a step, one row per world; observations are those that the agent acts on next.
+    """The result of a step, one row per agent, or one per world; observations are those that the agent acts on next.
 
-    `terms` has a row per term of the reward and a column per world. `done` holds the numbers of the worlds whose episode ended,
+    `terms` has a row per term of the reward and a column per agent. `done` holds the numbers of the rows whose episode ended,
     `final_observations` their last observations, `infos` their infos. Their next episodes have begun.
     """
 
@@ -215,14 +218,21 @@ class BatchController(_BatchPart):
 
 
 class BatchSupervisor(_BatchPart, ABC):
-    """Base of the generated supervisors of a batch, over single supervisors and the engine that holds all of their worlds."""
+    """Base of the generated supervisors of a batch, over single supervisors and the engine that holds all of their worlds.
+
+    A row of columns, observations and actions is an agent. Where worlds have copies of a robot, each world has a row for each copy, and
+    the episode ends for all of them when it ends for one. `by_world` turns rows into what the single worlds take and give.
+    """
 
     TERMS: tuple[str, ...] = ()
 
     def __init__(self, singles: Sequence[Supervisor], engine: BatchEngine) -> None:
-        super().__init__(singles, self)
-        first = singles[0]
-        self.singles, self.engine, self.scenario, self.count = singles, engine, first.scenario, len(singles)
+        super().__init__([agent for single in singles for agent in single.agents.values()], self)
+        first: Supervisor = self._singles[0]
+        self.singles, self.engine, self.scenario, self.count = singles, engine, first.scenario, len(self._singles)
+        self.copies = self.count // len(singles)
+        """The rows of a world."""
+        self._has_copies = self.scenario.agent.copies is not None
         self.observation_space, self.action_space = first.observation_space, first.action_space
         self.controllers: dict[str, BatchController] = {}
         self.channels: dict[tuple[str, str], BatchChannel | BatchLossyChannel] = {}
@@ -231,7 +241,7 @@ class BatchSupervisor(_BatchPart, ABC):
         self._errors: dict[int, str] = {}
         self._starts: list[int | dict[str, Any]] = [0] * len(singles)
         self._first = np.zeros(len(singles), int)
-        """Of each world, how its episode began, and the place of its first action in `_actions`, the actions of all worlds."""
+        """Of each world, how its episode began, and the place of its first action in `_actions`, those of all worlds (`by_world`)."""
         self._actions: list[Any] = []
         self._views = frame_indices(self.scenario.agent)
         self.depth, self.newest = len(self._views), 0
@@ -250,7 +260,7 @@ class BatchSupervisor(_BatchPart, ABC):
     def _forget(self) -> None:
         count = self.count
         self.running: Column | None = None
-        """The worlds that take part in this tick, as truth values; None for all. `_acting` are those of the step."""
+        """The rows that take part in this tick, as truth values; None for all. `_acting` are those of the step."""
         self._acting: Column | None = None
         self.step_count, self.timestep_count = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self.reward: Any = np.zeros(count)
@@ -273,7 +283,7 @@ class BatchSupervisor(_BatchPart, ABC):
 
     def robot(self, name: str, controller: type[BatchController]) -> Any:
         """The controllers of a robot."""
-        made = self.controllers[name] = controller([single.controllers[name] for single in self.singles], self)
+        made = self.controllers[name] = controller([single.controllers[name] for single in self._singles], self)
         return made
 
     def channel(self, name: str, direction: Direction) -> BatchChannel:
@@ -284,8 +294,49 @@ class BatchSupervisor(_BatchPart, ABC):
     def lossy_channel(self, name: str, direction: Direction) -> BatchLossyChannel:
         """The paths of messages to or from a robot, where messages come late or may be lost."""
         attribute = f"{'to' if direction == 'to_robot' else 'from'}_{name}"
-        made = self.channels[name, direction] = BatchLossyChannel([getattr(single, attribute) for single in self.singles], self)
+        made = self.channels[name, direction] = BatchLossyChannel([getattr(single, attribute) for single in self._singles], self)
         return made
+
+    # Rows and worlds
+
+    def rows_of(self, worlds: Any) -> Any:
+        """The numbers of the rows of these worlds."""
+        return worlds if self.copies == 1 else (self.copies * np.asarray(worlds)[:, None] + np.arange(self.copies)).ravel()
+
+    def by_row(self, values: Any) -> Any:
+        """Actions or observations of worlds with a row per agent."""
+        return by_part(lambda part: part.reshape(-1, *part.shape[2:]), values) if self._has_copies else values
+
+    def by_world(self, values: Any) -> Any:
+        """Actions or observations with a row per agent as those of worlds."""
+        copies = self.copies
+        return by_part(lambda part: part.reshape(-1, copies, *part.shape[1:]), values) if self._has_copies else values
+
+    def step_by_world(self, step: BatchStep) -> BatchStep:
+        """The result of a step with a row per world, as the single worlds give it."""
+        if not self._has_copies:
+            return step
+        copies = self.copies
+        rewards, *terms = (reduce(operator.add, row.reshape(-1, copies).T) / copies for row in (step.rewards, *step.terms))
+        terminated, truncated = (np.any(column.reshape(-1, copies), axis=1) for column in (step.terminated, step.truncated))
+        results = [
+            CopyResult(float(step.rewards[row]), bool(step.terminated[row]), bool(step.truncated[row]), info)
+            for row, info in zip(step.done.tolist(), step.infos, strict=True)
+        ]
+        return BatchStep(
+            self.by_world(step.observations),
+            rewards,
+            np.array(terms),
+            terminated,
+            truncated & ~terminated,
+            step.done[::copies] // copies,
+            self.by_world(step.final_observations) if results else None,
+            [result_of_all(results[first : first + copies]).info for first in range(0, len(results), copies)],
+        )
+
+    def _of_world(self, flags: Column) -> Column:
+        """Whether a flag is set in any row of the world, for each row."""
+        return flags if self.copies == 1 else flags.reshape(-1, self.copies).any(axis=1).repeat(self.copies)
 
     # Course
 
@@ -301,7 +352,7 @@ class BatchSupervisor(_BatchPart, ABC):
         if options:
             self.singles[0].require_drawable(options)
         self._forget()
-        self.begin(range(self.count), seeds, options)
+        self.begin(range(len(self.singles)), seeds, options)
         return self.observations()
 
     def step(self, action: Any) -> BatchStep:
@@ -320,13 +371,15 @@ class BatchSupervisor(_BatchPart, ABC):
             warnings.warn(str(loss), RuntimeWarning, stacklevel=3)
         if not len(outcome.done):
             return outcome
-        self.begin(outcome.done.tolist(), [None] * len(outcome.done))
+        worlds = (outcome.done[:: self.copies] // self.copies).tolist()
+        self.begin(worlds, [None] * len(worlds))
         return outcome._replace(observations=self.observations())
 
     def advance(self, action: Any, resting: Column | None = None) -> BatchStep:
         """One step of all worlds but those that are `resting` (truth values), whose episodes have ended; no episode begins."""
         action = by_part(np.array, action)
-        self._actions.append(action)
+        self._actions.append(self.by_world(action))
+        resting = None if resting is None else resting.repeat(self.copies)
         self._acting = self.running = None if resting is None else ~resting
         with np.errstate(all="ignore"):
             self._advance(action)
@@ -337,7 +390,7 @@ class BatchSupervisor(_BatchPart, ABC):
             self._require_choices(resting)
         observations, rewards, terms = self.observations(), self.rewards(), self.terms()
         terminated, truncated = self.terminated, self.truncated
-        ended = terminated | truncated
+        ended = self._of_world(terminated | truncated)
         done = np.flatnonzero(ended if resting is None else ended & ~resting)
         if not len(done):
             return BatchStep(observations, rewards, terms, terminated, truncated, done, None, [])
@@ -364,7 +417,7 @@ class BatchSupervisor(_BatchPart, ABC):
     def restore(self, episodes: Sequence[EpisodeHistory], on_step: Callable[[Column], None] = lambda acting: None) -> Any:
         """Bring the worlds back to the moment of a snapshot, exactly: each episode begins again and repeats its actions.
 
-        All end in the same step, so that short ones begin late. `on_step` is called after each step with the worlds that repeated an action
+        All end in the same step, so that short ones begin late. `on_step` is called after each step with the rows that repeated an action
         in it, as truth values.
 
         Returns:
@@ -387,50 +440,50 @@ class BatchSupervisor(_BatchPart, ABC):
                 rows = [episode.actions[place] if place >= 0 else idle for place, episode in zip(places, episodes, strict=True)]
                 self._actions.append(joined(rows))
                 with np.errstate(all="ignore"):
-                    self._advance(self._actions[-1])
-                on_step(np.array(places) >= 0)
+                    self._advance(self.by_row(self._actions[-1]))
+                on_step((np.array(places) >= 0).repeat(self.copies))
         self._starts = [episode.start for episode in episodes]
         self._first = np.array([last - len(episode.actions) for episode in episodes])
         return self.observations()
 
     def _take_over_from(self, worlds: Sequence[int]) -> None:
         """Go on from what single worlds have begun with."""
-        worlds = list(worlds)
-        self.engine.begin_episodes(worlds)
+        self.engine.begin_episodes(list(worlds))
+        rows = list(self.rows_of(worlds))
         for part in (self, *self.controllers.values()):
-            part.take_over(worlds)
-        for world in worlds:
-            single = self.singles[world]
-            self.frames[:, :, world] = single.frames[: self.frames.shape[1]]
-            self.goal[:, world] = single.goal
+            part.take_over(rows)
+        for row in rows:
+            single = self._singles[row]
+            self.frames[:, :, row] = single.frames[: self.frames.shape[1]]
+            self.goal[:, row] = single.goal
             if self.forbids_options:
                 for mask, allowed in zip(self._allowed.values(), single.allowed(), strict=True):
-                    mask[:, world] = allowed
+                    mask[:, row] = allowed
         counts, ends = ("step_count", "timestep_count", "reward", "previous_reward", "episode_return"), ("terminated", "truncated")
         for name in (*counts, *ends, "is_success", "_lost"):
             column = columns_array(getattr(self, name), self.count)
-            column[worlds] = 0
+            column[rows] = 0
             setattr(self, name, column)
 
     def _give_up(self) -> None:
         """End the episodes of worlds that are no longer finite."""
         lost = self._lost
-        for world in np.flatnonzero(lost).tolist():
+        for world in np.flatnonzero(lost[:: self.copies]).tolist():
             error = self._errors.pop(world, "the state left the range of numbers")
-            self.losses.append(LostWorld(world, self.singles[world].streams.root, int(self.step_count[world]), error))
+            self.losses.append(LostWorld(world, self.singles[world].streams.root, int(self.step_count[world * self.copies]), error))
         self.reward = np.where(lost, 0.0, self.reward)
         self.terminated, self.truncated = self.terminated & ~lost, self.truncated | lost
         self.is_success = self.is_success & ~lost
         self.frames[:, :, lost] = 0.0
 
-    def info(self, world: int) -> dict[str, Any]:
-        """The info of the last step of an episode, as the single world gives it."""
-        held = tuple(name for name, column in self._holds.items() if column[world]) if self.terminated[world] else ()
-        if self.truncated[world]:
-            held = (NOT_FINITE if self._lost[world] else self._limit,)
-        terms = {name: float(np.broadcast_to(getattr(self, f"term_{name}"), self.count)[world]) for name in self.TERMS}
-        info = {"is_success": bool(self.is_success[world]), "ended_by": held[0] if held else None, "endings": held}
-        masks = {"action_mask": self.action_mask(world)} if self.forbids_options else {}
+    def info(self, row: int) -> dict[str, Any]:
+        """The info of a row for the last step of an episode, as its agent gives it."""
+        held = tuple(name for name, column in self._holds.items() if column[row]) if self.terminated[row] else ()
+        if self.truncated[row]:
+            held = (NOT_FINITE if self._lost[row] else self._limit,)
+        terms = {name: float(np.broadcast_to(getattr(self, f"term_{name}"), self.count)[row]) for name in self.TERMS}
+        info = {"is_success": bool(self.is_success[row]), "ended_by": held[0] if held else None, "endings": held}
+        masks = {"action_mask": self.action_mask(row)} if self.forbids_options else {}
         return {**info, **masks, "reward_terms": terms}
 
     def rewards(self) -> Column:
@@ -445,7 +498,7 @@ class BatchSupervisor(_BatchPart, ABC):
         return terms
 
     def observations(self) -> Any:
-        """The observations, float32, a row per world; a copy."""
+        """The observations, float32, a row per agent; a copy."""
         frames = self.frames.reshape(-1, self.count)
         seen = np.ascontiguousarray(frames[self._views[self.newest]].T)
         if not self._size:
@@ -454,12 +507,12 @@ class BatchSupervisor(_BatchPart, ABC):
         return {"observation": seen, "achieved_goal": goals[:, : self._size].copy(), "desired_goal": goals[:, self._size :].copy()}
 
     def action_masks(self) -> Column:
-        """`Supervisor.action_masks` of each world, a row each; a copy."""
+        """`Supervisor.action_masks` of each agent, a row each; a copy."""
         return np.concatenate(list(self._allowed.values())).T.copy()
 
-    def action_mask(self, worlds: Any = slice(None)) -> Any:
-        """`Supervisor.action_mask` of some worlds, with a row per world in each array."""
-        return mask_of_space(self.action_space, [mask.T[worlds].astype(np.int8) for mask in self._allowed.values()])
+    def action_mask(self, rows: Any = slice(None)) -> Any:
+        """`Supervisor.action_mask` of some agents, with a row for each in each array."""
+        return mask_of_space(self.action_space, [mask.T[rows].astype(np.int8) for mask in self._allowed.values()])
 
     def close(self) -> None:
         """Release all worlds."""
@@ -475,7 +528,7 @@ class BatchSupervisor(_BatchPart, ABC):
         lost = self.engine.non_finite_worlds()
         if len(lost):
             self._lost = self._lost.copy()
-            self._lost[lost] = True
+            self._lost[self.rows_of(lost)] = True
             for world in lost.tolist():
                 member = self.engine.members[world]
                 try:
@@ -502,7 +555,7 @@ class BatchSupervisor(_BatchPart, ABC):
         for number in range(count):
             yield
             if number < count - 1:
-                goes_on = ~(self.terminated | self.truncated | self._lost)
+                goes_on = ~self._of_world(self.terminated | self.truncated | self._lost)
                 if self._acting is not None:
                     goes_on &= self._acting
                 self.running = None if goes_on.all() else goes_on
@@ -512,21 +565,21 @@ class BatchSupervisor(_BatchPart, ABC):
 
     def redraw(self, due: Any, draw: Callable[[Any], None], *names: str) -> None:
         """Let the single worlds that are due draw values anew."""
-        worlds = np.flatnonzero(np.broadcast_to(due if self.running is None else due & self.running, self.count)).tolist()
-        for world in worlds:
-            single = self.singles[world]
-            single.step_count, single.timestep_count = int(self.step_count[world]), int(self.timestep_count[world])
+        rows = np.flatnonzero(np.broadcast_to(due if self.running is None else due & self.running, self.count)).tolist()
+        for row in rows:
+            single = self._singles[row]
+            single.step_count, single.timestep_count = int(self.step_count[row]), int(self.timestep_count[row])
             draw(single)
-        if worlds:
-            self._take_columns(worlds, names)
+        if rows:
+            self._take_columns(rows, names)
 
     def normals(self, stream: str, count: int) -> Column:
         """Standard normal numbers, a column each."""
         running = self.running
         drawn = np.zeros((count, self.count))
-        for world, single in enumerate(self.singles):
-            if running is None or running[world]:
-                drawn[:, world] = single.streams[stream].standard_normal(count)
+        for row, single in enumerate(self._singles):
+            if running is None or running[row]:
+                drawn[:, row] = single.streams[stream].standard_normal(count)
         return drawn
 
     def set_observation(self, *numbers: Any) -> None:
@@ -599,6 +652,7 @@ class BatchSupervisor(_BatchPart, ABC):
             culprit = f"the reward term '{terms[0]}'" if terms else "the sum of the reward terms"
             raise self._failed(world, f"{culprit} is not finite")
 
-    def _failed(self, world: int, what: str) -> EvaluationError:
+    def _failed(self, row: int, what: str) -> EvaluationError:
+        world = row // self.copies
         seed = self.singles[world].streams.root
-        return EvaluationError(f"step {int(self.step_count[world])} of world {world} (seed {seed}): {what}")
+        return EvaluationError(f"step {int(self.step_count[row])} of world {world} (seed {seed}): {what}")

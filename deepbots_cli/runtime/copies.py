@@ -6,18 +6,22 @@ runs an environment finds its agents by name in `Supervisor.agents`, and the gen
 
 Only the loop over the world differs. A physics step acts on all copies at once, so no copy can call it by itself: its `_advance` is a
 generator that waits there, with its local variables, until every copy has acted.
+
+In a batch of worlds the copies are rows of the columns: `BatchOfCopies` is the engine as all of them see it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from functools import partialmethod
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
+import numpy as np
 from gymnasium.vector.utils import batch_space
 
 from deepbots_cli.frames import Quaternion, Triple, add
-from deepbots_cli.port import ZERO_VECTOR, Engine, EngineProxy, Part, Pusher
+from deepbots_cli.port import ZERO_VECTOR, BatchEngine, Engine, EngineProxy, MotorWriter, Part, Pusher
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import RobotCopies
 from deepbots_cli.program.world import WorldModel
@@ -25,6 +29,9 @@ from deepbots_cli.runtime.placement import copy_offset
 from deepbots_cli.runtime.spaces import canonical_action, is_canonical, joined
 from deepbots_cli.runtime.streams import NOTHING_CHOSEN, Drawn, Streams
 from deepbots_cli.runtime.supervisor import Info, Supervisor
+
+if TYPE_CHECKING:
+    from deepbots_cli.runtime.batch import BatchSupervisor
 
 _END = object()
 
@@ -49,6 +56,20 @@ def make_environment(
     if copies is None:
         return kind(scenario, create(scenario.world), render_mode)
     return CopiesSupervisor(kind, scenario, copies, create(world_with_copies(scenario.world, copies)), render_mode)
+
+
+def make_batch(
+    kind: type[Supervisor], of_batch: type[BatchSupervisor], scenario: Program, create: Callable[[WorldModel], BatchEngine]
+) -> BatchSupervisor:
+    """A batch of worlds whose generated supervisors are `of_batch`, and `kind` for each single world."""
+    copies = scenario.agent.copies
+    engine = create(scenario.world if copies is None else world_with_copies(scenario.world, copies))
+
+    def single(member: Engine) -> Supervisor:
+        return make_environment(kind, scenario, lambda world: member)
+
+    singles = list(map(single, engine.members))
+    return of_batch(singles, engine if copies is None else BatchOfCopies(engine, copies))
 
 
 class EngineOfCopy(EngineProxy):
@@ -85,6 +106,91 @@ class EngineOfCopy(EngineProxy):
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
         return super().pusher(part, frame) if self.changing(part[0]) else lambda _force, _torque: None
+
+
+class BatchOfCopies:
+    """The engine of a batch with a row for each copy, those of the first world first; the robot's name means the copy of a row.
+
+    Members, and the worlds that begin episodes, are worlds.
+    """
+
+    def __init__(self, engine: BatchEngine, copies: RobotCopies) -> None:
+        self._engine, self._count = engine, copies.count
+        self._views = [EngineOfCopy(cast("Engine", engine), copies, number + 1) for number in range(copies.count)]
+        self.name, self.gravity, self.members = engine.name, engine.gravity, engine.members
+        self.begin_episodes, self.non_finite_worlds, self.close = engine.begin_episodes, engine.non_finite_worlds, engine.close
+        self.write_mask: Any = None
+
+    def step(self, substeps: int, running: Any = None) -> None:
+        self._engine.step(substeps, None if running is None else running[:: self._count])
+
+    def _reader(self, kind: str, *of: Any, **options: Any) -> Callable[[], Any]:
+        readers = [getattr(view, kind)(*of, **options) for view in self._views]
+        return lambda: _by_row([read() for read in readers])
+
+    contact = partialmethod(_reader, "contact")
+    contact_force = partialmethod(_reader, "contact_force")
+    clearance = partialmethod(_reader, "clearance")
+    rays = partialmethod(_reader, "rays")
+    joint_states = partialmethod(_reader, "joint_states")
+    joint_torques = partialmethod(_reader, "joint_torques")
+    pose = partialmethod(_reader, "pose")
+    velocity = partialmethod(_reader, "velocity")
+    motion = partialmethod(_reader, "motion")
+
+    def _motor(self, kind: str, *of: Any) -> MotorWriter:
+        writers = [getattr(view, kind)(*of) for view in self._views]
+
+        def write(targets: Sequence[Any]) -> None:
+            for place, write_copy in enumerate(writers):
+                rows = slice(place, None, self._count)
+                self._engine.write_mask = None if self.write_mask is None else self.write_mask[rows]
+                write_copy([target[rows] if isinstance(target, np.ndarray) else target for target in targets])
+            self._engine.write_mask = None
+
+        return write
+
+    velocity_motor = partialmethod(_motor, "velocity_motor")
+    position_motor = partialmethod(_motor, "position_motor")
+    torque_motor = partialmethod(_motor, "torque_motor")
+
+
+def _by_row(readings: Sequence[Any]) -> Any:
+    """The readings of all copies, columns with a number per world, as columns with a number per row."""
+    first = readings[0]
+    if isinstance(first, (tuple, list)):
+        return tuple(_by_row(parts) for parts in zip(*readings, strict=True))
+    return np.stack(readings, axis=-1).reshape(*first.shape[:-1], -1)
+
+
+class CopyResult(NamedTuple):
+    """The result of a step for one copy."""
+
+    reward: float
+    terminated: bool
+    truncated: bool
+    info: Info
+
+
+def result_of_all(copies: Sequence[CopyResult]) -> CopyResult:
+    """The result of a step for the world of these copies."""
+    ended = [copy for copy in copies if copy.terminated]
+    over = ended or [copy for copy in copies if copy.truncated]
+    failed = [copy for copy in over if not copy.info["is_success"]]
+    each = {
+        "reward": tuple(copy.reward for copy in copies),
+        "terminated": tuple(copy.terminated for copy in copies),
+        "is_success": tuple(copy.info["is_success"] for copy in copies),
+    }
+    terms = {name: sum(copy.info["reward_terms"][name] for copy in copies) / len(copies) for name in copies[0].info["reward_terms"]}
+    info: Info = {
+        "is_success": bool(ended) and all(copy.info["is_success"] for copy in ended),
+        "ended_by": (failed or over)[0].info["ended_by"] if over else None,
+        "endings": tuple(dict.fromkeys(name for copy in over for name in copy.info["endings"])),
+        "reward_terms": terms,
+        "each": each,
+    }
+    return CopyResult(sum(copy.reward for copy in copies) / len(copies), bool(ended), bool(over) and not ended, info)
 
 
 class CopiesSupervisor(Supervisor):
@@ -192,14 +298,9 @@ class CopiesSupervisor(Supervisor):
         """Take reward and endings from the agents."""
         agents = list(self.agents.values())
         self.step_count, self.timestep_count = agents[0].step_count, agents[0].timestep_count
-        self.reward = sum(agent.reward for agent in agents) / len(agents)
-        ended = [agent for agent in agents if agent.terminated]
-        over = ended or [agent for agent in agents if agent.truncated]
-        self.terminated, self.truncated = bool(ended), bool(over) and not ended
-        self.is_success = bool(ended) and all(agent.is_success for agent in ended)
-        self.endings = tuple(dict.fromkeys(name for agent in over for name in agent.endings))
-        failed = [agent for agent in over if not agent.is_success]
-        self.ended_by = (failed or over)[0].ended_by if over else None
+        results = [CopyResult(agent.reward, agent.terminated, agent.truncated, agent.get_info()) for agent in agents]
+        self.reward, self.terminated, self.truncated, self._info = result_of_all(results)
+        self.is_success, self.endings, self.ended_by = (self._info[name] for name in ("is_success", "endings", "ended_by"))
 
     def scripted(self, name: str) -> Any:
         """Every copy follows the script."""
@@ -213,15 +314,7 @@ class CopiesSupervisor(Supervisor):
         return joined([agent.get_observations() for agent in self.agents.values()])
 
     def get_info(self) -> Info:
-        agents = self.agents.values()
-        infos = [agent.get_info() for agent in agents]
-        return {
-            "is_success": self.is_success,
-            "ended_by": self.ended_by,
-            "endings": self.endings,
-            "reward_terms": {name: sum(info["reward_terms"][name] for info in infos) / len(infos) for name in infos[0]["reward_terms"]},
-            "each": {what: tuple(getattr(agent, what) for agent in agents) for what in ("reward", "terminated", "is_success")},
-        }
+        return dict(self._info)
 
     def _view_shift(self) -> Triple:
         return next(iter(self.agents.values()))._view_shift()

@@ -22,11 +22,12 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
     def __init__(self, batch: BatchSupervisor) -> None:
         """Takes over `batch` and closes it with itself."""
         self.batch = batch
-        self.num_envs = batch.count
+        self.num_envs = len(batch.singles)
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}
-        self.single_observation_space, self.single_action_space = batch.observation_space, batch.action_space
-        self.observation_space = batch_space(batch.observation_space, batch.count)
-        self.action_space = batch_space(batch.action_space, batch.count)
+        single = batch.singles[0]
+        self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
+        self.observation_space = batch_space(single.observation_space, self.num_envs)
+        self.action_space = batch_space(single.action_space, self.num_envs)
         self._begun = False
 
     def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -51,7 +52,7 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
             raise UsageError(f"{len(seeds)} seeds for {self.num_envs} worlds")
         if seeds[0] is not None:
             self.action_space.seed(seeds[0])
-        observations = self.batch.reset(seeds, options)
+        observations = self.batch.by_world(self.batch.reset(seeds, options))
         self._begun = True
         infos: dict[str, Any] = {}
         for world, single in enumerate(self.batch.singles):
@@ -59,8 +60,8 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
         return observations, infos | self._masks()
 
     def _masks(self) -> dict[str, Any]:
-        """The part of an info that says which options may be chosen next; empty where none is ever forbidden."""
-        if not self.batch.forbids_options:
+        """The part of an info that says which options may be chosen next; empty where that of a single world does not."""
+        if not self.batch.forbids_options or self.batch.scenario.agent.copies:
             return {}
         return {"action_mask": self.batch.action_mask(), "_action_mask": np.ones(self.num_envs, bool)}
 
@@ -79,7 +80,7 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
         if not self._begun:
             raise UsageError("call reset() before step()")
         self._require_fitting(actions)
-        outcome = self.batch.step(actions)
+        outcome = self.batch.step_by_world(self.batch.step(self.batch.by_row(by_part(np.asarray, actions))))
         infos: dict[str, Any] = {}
         if len(outcome.done):
             ended = np.zeros(self.num_envs, bool)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from deepbots_cli.runtime.batch import BatchChannel, columns_array
 from deepbots_cli.runtime.spaces import joined
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.episodes import Player, RunDriver
-from deepbots_cli.view.frames import FrameReader, ReceivedMessage, WorldFrame, value_of_row
+from deepbots_cli.view.frames import AgentFrame, FrameReader, ReceivedMessage, WorldFrame, value_of_row
 
 
 class BatchPlayer(Player):
@@ -30,7 +31,7 @@ class BatchPlayer(Player):
 
     def _make(self, program: Program) -> Supervisor:
         self.batch = api.build_batch(program, self.opened.shown.worlds, engine=self.opened.shown.engine or "mujoco")
-        self.worlds = self.batch.count
+        self.worlds = len(self.batch.singles)
         self._readers: dict[int, FrameReader] = {}
         return self.batch.singles[0]
 
@@ -49,7 +50,7 @@ class BatchPlayer(Player):
             self.driver = RunDriver(self.opened.run, self.env, self.batch)
         elif name in (HAND, RANDOM, ZERO):
             each = [self._make_driver(single, name) for single in self.batch.singles]
-            self.driver = Driver(lambda _: joined([driver.act(None) for driver in each]))
+            self.driver = Driver(lambda _: self.batch.by_row(joined([driver.act(None) for driver in each])))
         else:
             raise UsageError(f"'{name}' cannot act in a batch of worlds; use {', '.join(self.opened.drivers)}, or leave out --worlds")
         self.driver_name = name
@@ -65,10 +66,11 @@ class BatchPlayer(Player):
 
     def begin(self, seed: int, episode: int) -> WorldFrame:
         self._seeds = [derive_seed(seed, "evaluation", episode + world) for world in range(self.worlds)]
-        self._running = BatchEpisodes(self.batch)
-        self._endings: list[str] = []
-        self._rewards = np.zeros(self.worlds)
-        self._terms = np.zeros((len(self.batch.TERMS), self.worlds))
+        self._running = BatchEpisodes(self.batch, of_agents=True)
+        self._endings: dict[int, dict[str, Any]] = {}
+        """How the episodes of worlds have ended, as fields of a frame."""
+        self._rewards = np.zeros(self.batch.count)
+        self._terms = np.zeros((len(self.batch.TERMS), self.batch.count))
         self.action = None
         self.driver.begin(Start())
         self._turn_to(self.world)  # before the reset, whose messages its reader keeps
@@ -79,22 +81,27 @@ class BatchPlayer(Player):
         return episode + self.worlds
 
     def step(self, *, by_hand: bool = False) -> WorldFrame:
-        self.action = (
-            joined([action_from_values(self.env, self.manual_values)] * self.worlds) if by_hand else self.driver.act(self.observation)
-        )
-        acting = ~self._running.resting
+        if by_hand:
+            self.action = self.batch.by_row(joined([action_from_values(self.env, self.manual_values)] * self.worlds))
+        else:
+            self.action = self.driver.act(self.observation)
+        acting = (~self._running.resting).repeat(self.batch.copies)
         outcome = self._running.step_all(self.action)
         self._rewards[acting], self._terms[:, acting] = outcome.rewards[acting], outcome.terms[:, acting]
-        self._running.resting[outcome.done] = True
-        self._endings += [str(info["ended_by"]) for info in outcome.infos]
         self.observation = outcome.observations
+        outcome = self.batch.step_by_world(outcome)
+        self._running.resting[outcome.done] = True
+        for world, info in zip(outcome.done.tolist(), outcome.infos, strict=True):
+            ended = {name: info[name] for name in ("ended_by", "is_success")}
+            self._endings[world] = {**ended, "truncated": bool(outcome.truncated[world])}
         return self._read()
 
     @property
     def note(self) -> str:
         """How many worlds run, and how others have ended."""
         running = self.worlds - len(self._endings)
-        counts = [f"running {running}"] * (running > 0) + [f"{name} {count}" for name, count in Counter(self._endings).most_common()]
+        ended = Counter(str(ending["ended_by"]) for ending in self._endings.values())
+        counts = [f"running {running}"] * (running > 0) + [f"{name} {count}" for name, count in ended.most_common()]
         state = f"world {self.world} of {self.worlds} ({', '.join(counts)})"
         return f"{state}; {self.driver.note}" if self.driver.note else state
 
@@ -104,42 +111,48 @@ class BatchPlayer(Player):
     def _read(self) -> WorldFrame:
         """The frame of the world: poses, rays and contacts of its own, and what the batch holds as a column per number."""
         batch, world = self.batch, self.world
-        frame = self.reader.read(value_of_row(self.observation, world), value_of_row(self.action, world))
-        if step := int(batch.step_count[world]):  # before the first step, the single world has all of it
-            info, (name, agent) = batch.info(world), next(iter(frame.agents.items()))
-            terms = dict(zip(batch.TERMS, self._terms[:, world].tolist(), strict=True))
-            allowed = batch.action_masks()[world].tolist() if batch.forbids_options and not self._running.resting[world] else ()
-            agent = replace(
-                agent,
-                reward=float(self._rewards[world]),
-                episode_return=float(self._running.returns[world]),
-                terms=terms,
-                allowed=() if all(allowed) else tuple(allowed),
-            )
+        action = None if self.action is None else batch.by_world(self.action)
+        frame = self.reader.read(value_of_row(batch.by_world(self.observation), world), value_of_row(action, world))
+        if step := int(batch.step_count[world * batch.copies]):  # before the first step, the single world has all of it
             frame = replace(
                 frame,
                 step=step,
                 time=step * self.program.period,
                 readings={key: self._reading(key) for key in frame.readings},
                 messages={key: self._message(key, message) for key, message in frame.messages.items()},
-                agents={name: agent},
-                ended_by=info["ended_by"],
-                is_success=info["is_success"],
-                truncated=bool(batch.truncated[world]),
+                agents={name: self._agent(agent, self._row(name)) for name, agent in frame.agents.items()},
+                **self._endings.get(world, {}),
             )
         self.frame = frame
         return frame
 
+    def _row(self, name: str) -> int:
+        """The row of an agent or robot of the world, given its name there."""
+        return self.world * self.batch.copies + int(name.partition("#")[2] or 1) - 1
+
+    def _agent(self, agent: AgentFrame, row: int) -> AgentFrame:
+        batch = self.batch
+        terms = dict(zip(batch.TERMS, self._terms[:, row].tolist(), strict=True))
+        goes_on = batch.forbids_options and not (batch.terminated[row] or batch.truncated[row])
+        allowed = tuple(batch.action_masks()[row].tolist()) if goes_on else ()
+        return replace(
+            agent,
+            reward=float(self._rewards[row]),
+            episode_return=float(self._running.returns[row]),
+            terms=terms,
+            allowed=() if all(allowed) else allowed,
+        )
+
     def _reading(self, key: str) -> tuple[float, ...]:
-        robot, _, sensor = key.partition(".")
-        reading = self.batch.controllers[robot].devices[sensor].reading
-        return tuple(map(float, reading[:, self.world]))
+        name, _, sensor = key.partition(".")
+        reading = self.batch.controllers[name.partition("#")[0]].devices[sensor].reading
+        return tuple(map(float, reading[:, self._row(name)]))
 
     def _message(self, key: str, message: ReceivedMessage) -> ReceivedMessage:
         """The newest message; one that may be late or lost passed through the channel of the single world."""
-        robot, _, direction = key.partition("/")
-        channel = self.batch.channels[robot, direction]
+        name, _, direction = key.partition("/")
+        channel = self.batch.channels[name.partition("#")[0], direction]
         if not isinstance(channel, BatchChannel):
             return message
-        columns = [columns_array(value, self.worlds) for value in channel.receive()]
-        return ReceivedMessage(tuple(float(x) for column in columns for x in np.atleast_1d(column[..., self.world])), 0.0, True)
+        columns = [columns_array(value, self.batch.count) for value in channel.receive()]
+        return ReceivedMessage(tuple(float(x) for column in columns for x in np.atleast_1d(column[..., self._row(name)])), 0.0, True)

@@ -173,7 +173,7 @@ class RunDriver(Driver):
         if self._policy is not None:
             self._policy.begin(start)
         elif running:
-            self._space = batch_space(self._env.action_space, self._batch.count) if self._batch else self._env.action_space
+            self._space = batch_space(self._batch.action_space, self._batch.count) if self._batch else self._env.action_space
             self.note = "the training has saved no policy yet: random actions"
         else:
             raise RunError(f"{self._run.path} holds no model yet; train it, or show its scenario")

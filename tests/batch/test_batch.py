@@ -29,7 +29,7 @@ SHORTER = {PUSHED: ("truncation.max_time=4 s",), "quadruped": ("truncation.max_t
 """Settings with which episodes end within 500 steps."""
 OTHERS = (
     *("cartpole_continuous", "cartpole_long", "cartpole_wireless", "find_and_avoid_unmasked", "find_ball_as_printed", "find_ball_random"),
-    *("line_follower", "panda_push", "panda_reach", "pit_escape_as_printed", "quadrotor", "quadruped", "tag", PUSHED),
+    *("line_follower", "multi_cartpole", "panda_push", "panda_reach", "pit_escape_as_printed", "quadrotor", "quadruped", "tag", PUSHED),
 )
 """With these, every shipped scenario that fits a batch."""
 
@@ -85,6 +85,8 @@ def compare(name: str, worlds: int, steps: int, overrides: tuple[str, ...] = (),
                     assert_same(infos["final_obs"][world], seen)
                     assert infos["final_info"]["ended_by"][world] == last["ended_by"]
                     assert infos["final_info"]["is_success"][world] == last["is_success"]
+                    for what, values in last.get("each", {}).items():
+                        assert infos["final_info"]["each"][what][world] == values
                     seen, info = single.reset()
                 assert_same(taken(observations, world), seen)
                 for mine, other in zip(masks(infos), masks(info), strict=True):
@@ -94,7 +96,7 @@ def compare(name: str, worlds: int, steps: int, overrides: tuple[str, ...] = (),
     return ended
 
 
-@pytest.mark.parametrize("name", [*FAST, PUSHED, "quadruped"], ids=stem)
+@pytest.mark.parametrize("name", [*FAST, "multi_cartpole", PUSHED, "quadruped"], ids=stem)
 def test_a_world_of_a_batch_lives_the_episodes_of_a_single_world(name: str) -> None:
     compare(name, worlds=3, steps=40)
 
@@ -113,6 +115,46 @@ def test_memories_of_apply_wait_for_late_messages_in_a_batch_too(start: str) -> 
 def test_a_world_whose_episode_ends_within_a_step_draws_nothing_in_its_other_timesteps() -> None:
     """Losses and latencies of the next episode are those of a single world."""
     assert compare("cartpole_wireless", worlds=3, steps=45, overrides=("agent={action_repeat: 3}",)) > 0
+
+
+COPIES = (
+    "agent.action_repeat=3",
+    "robots.cart.count=3",
+    "parameters.radio=uniform(10 .. 40 ms)",
+    "parameters.fall_angle=uniform(10 .. 15 deg)",
+    "messages.to_robot={latency: radio, loss: 5 %}",
+    "messages.from_robot={latency: radio + uniform(0 .. 20 ms) each step, loss: 5 %}",
+    "robots.cart.sensors.pole_angle={type: joint_position, joint: pole_hinge, noise: 0.2 deg, latency: uniform(0 .. 40 ms)}",
+    "robots.cart.actuators.wheels={type: velocity_motor, joints: [wheel_*], max_torque: 10 N*m, delay: uniform(0 .. 16 ms)}",
+    "robots.cart.links={'*': {mass: urdf * uniform(0.9 .. 1.1)}}",
+    "objects.thing={one_of: {cube: {shape: box, size: 0.1 0.1 0.1 m}, ball: {shape: sphere, radius: 5 cm}}}",
+    "reset.place.thing={x: 0.3 m, y: 0 m, z: 10 cm}",
+    "augment.gap=ground_distance(cart, thing)",
+    "augment.met=contact(cart, thing)",
+    "observation.speed={range: -0.8 .. 0.8 m/s, noise: 0.1 m/s}",
+    "observation.gap=0 .. 5 m",
+    "observation.met=auto",
+    "observation.tip_speed={range: -2 .. 2 m/s, history: 3}",
+)
+
+
+def test_copies_of_a_robot_in_a_batch_draw_sense_and_move_as_in_a_single_world() -> None:
+    """With several timesteps in a step, lossy channels, values of each copy and of all, and a body of two forms."""
+    assert compare("multi_cartpole", worlds=3, steps=40, overrides=COPIES) > 0
+
+
+def test_a_world_of_copies_that_becomes_infinite_ends_for_all_of_them() -> None:
+    compiled = api.compile("multi_cartpole")
+    with closing(deepbots_cli.make_vec(compiled, 3)) as batch, closing(api.make(compiled, engine="mujoco")) as single:
+        batch.reset(seed=0)
+        batch.batch.singles[1].engine.set_joint("cart#4", "pole_hinge", np.inf, 0.0)
+        with pytest.warns(RuntimeWarning, match=r"world 1 \(seed 1\) was no longer finite in step 1"):
+            observations, rewards, _, truncated, infos = batch.step(np.zeros((3, 9), int))
+        assert truncated.tolist() == [False, True, False]
+        assert (rewards[1], infos["final_info"]["ended_by"][1]) == (0.0, "not_finite")
+        assert len(batch.batch.losses) == 1
+        single.reset(seed=2)
+        assert_same(observations[2], single.step(np.zeros(9, int))[0])
 
 
 MASKABLE = "train={algorithm: MaskablePPO, total_timesteps: 1000}"

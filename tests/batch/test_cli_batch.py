@@ -19,8 +19,8 @@ def test_compile_prints_the_module_of_a_batch(capsys: pytest.CaptureFixture[str]
 
 
 def test_compile_says_what_a_batch_cannot_hold(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["compile", "multi_cartpole", "--target", "batch"]) == 2
-    assert "MultiCartPole does not fit a batch: it has several copies of a robot" in capsys.readouterr().err
+    assert main(["compile", "see_ball", "--target", "batch"]) == 2
+    assert "SeeBall does not fit a batch: it has cameras" in capsys.readouterr().err
 
 
 def test_bench_compares_engines_and_batches(capsys: pytest.CaptureFixture[str]) -> None:

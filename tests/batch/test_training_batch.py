@@ -35,7 +35,9 @@ def program() -> Program:
     return api.compile("cartpole").program
 
 
-@pytest.mark.parametrize(("name", "overrides"), [("cartpole", ()), ("cartpole", MASKED)], ids=["cartpole", "masked"])
+@pytest.mark.parametrize(
+    ("name", "overrides"), [("cartpole", ()), ("cartpole", MASKED), ("multi_cartpole", MASKED)], ids=["alone", "masked", "copies"]
+)
 def test_a_learner_sees_the_same_of_a_batch_as_of_single_worlds(name: str, overrides: tuple[str, ...]) -> None:
     program = api.compile(name, overrides=overrides).program
     told: dict[str, list[tuple[int, Episode]]] = {"batch": [], "single": []}
@@ -56,9 +58,10 @@ def test_a_learner_sees_the_same_of_a_batch_as_of_single_worlds(name: str, overr
     assert told["batch"] == told["single"] != []
 
 
-def test_worlds_of_a_batch_enter_another_stage_one_by_one(program: Program) -> None:
+@pytest.mark.parametrize(("name", "overrides"), [("cartpole", []), ("multi_cartpole", ["robots.cart.count=2"])])
+def test_worlds_of_a_batch_enter_another_stage_one_by_one(name: str, overrides: list[str]) -> None:
     """When three episodes have ended, each at the end of its own, as single worlds do."""
-    harder = api.compile("cartpole", overrides=["fall_angle=8 deg"]).program
+    program, harder = (api.compile(name, overrides=[*overrides, *more]).program for more in ([], ["fall_angle=8 deg"]))
     programs = [program, harder]
     steps: list[list[object]] = []
     kinds: list[list[int]] = []
@@ -94,7 +97,7 @@ def test_worlds_of_a_batch_enter_another_stage_one_by_one(program: Program) -> N
         with closing(env):
             generator = np.random.default_rng(1)
             for _ in range(120):
-                observations, rewards, dones, _, endings = env.step_all(generator.integers(0, 2, 3))
+                observations, rewards, dones, _, endings = env.step_all(generator.integers(0, 2, env.rows))
                 seen.append((observations.tolist(), rewards.tolist(), dones.tolist(), [ending.episode for ending in endings]))
                 of_stages.append(sum(stages))
             if is_batch:
@@ -141,6 +144,8 @@ def evaluated(name: str, worlds: int, seeds: list[int], overrides: tuple[str, ..
     [
         ("cartpole", ("action={drive: -1 .. 1}", "truncation.max_steps=20")),  # episodes of many lengths
         ("cartpole", (*MASKED, "truncation.max_steps=20")),
+        ("multi_cartpole", ("truncation.max_steps=12",)),
+        ("multi_cartpole", (*MASKED, "robots.cart.count=3", "truncation.max_steps=12")),
         ("quadrotor", ("truncation={max_steps: 2}",)),  # several timesteps in a step, and functions that numpy rounds otherwise
     ],
 )
@@ -177,13 +182,17 @@ def test_a_batch_enters_the_next_stage_after_an_evaluation(tmp_path: Path) -> No
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "changes",
-    [(), ("curriculum=[{name: easy, set: {fall_angle: 20 deg}, until: 480 steps}, {name: hard}]",), MASKED],
-    ids=["alone", "curriculum", "masked"],
+    ("name", "changes"),
+    [
+        ("cartpole", ()),
+        ("cartpole", ("curriculum=[{name: easy, set: {fall_angle: 20 deg}, until: 480 steps}, {name: hard}]",)),
+        ("cartpole", MASKED),
+        ("multi_cartpole", ()),
+    ],
+    ids=["alone", "curriculum", "masked", "copies"],
 )
-def test_a_training_over_a_batch_resumes_to_the_bit(tmp_path: Path, changes: tuple[str, ...]) -> None:
-    overrides = [*changes, "train.n_steps=32", "train.n_epochs=1"]
-    compiled = api.compile("cartpole", overrides=overrides)
+def test_a_training_over_a_batch_resumes_to_the_bit(tmp_path: Path, name: str, changes: tuple[str, ...]) -> None:
+    compiled = api.compile(name, overrides=[*changes, "train.n_steps=32", "train.n_epochs=1"])
     whole = learning.train(compiled, run=tmp_path / "whole", total_timesteps=1024, engine="mujoco", stop_when_solved=False)
     learning.train(compiled, run=tmp_path / "parts", total_timesteps=512, engine="mujoco", stop_when_solved=False)
     parts = learning.resume(tmp_path / "parts", total_timesteps=1024, stop_when_solved=False)

@@ -66,7 +66,7 @@ def test_returns_and_endings_are_those_of_the_episode():
     assert frames[-1].time == pytest.approx(0.128 * (len(frames) - 1))
 
 
-@pytest.mark.parametrize("name", ["cartpole_wireless", "find_and_avoid", "quadruped", "panda_push"])
+@pytest.mark.parametrize("name", ["cartpole_wireless", "find_and_avoid", "multi_cartpole", "quadruped", "panda_push"])
 def test_a_world_of_a_batch_has_the_frames_of_a_single_world(name):
     with closing(Showing(name, engine="mujoco", worlds=3).open().player(RANDOM)) as batch:
         batch.world = 2

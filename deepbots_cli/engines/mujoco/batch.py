@@ -70,7 +70,7 @@ class BatchMember(EngineProxy):
 
     def __init__(self, batch: MuJoCoBatch, index: int) -> None:
         self._batch, self._index = batch, index
-        self.name, self.capabilities = batch.name, frozenset({"contacts", "mimic"})
+        self.name, self.capabilities = batch.name, batch.capabilities
         self.substep_callbacks: list[Callable[[], object]] = []
         self._pushers = 0
 
@@ -160,7 +160,7 @@ class BatchMember(EngineProxy):
 class MuJoCoBatch:
     """`count` worlds of one model; `members` are engines of one world each, which resets and rare readers use."""
 
-    name = "mujoco"
+    name, capabilities = "mujoco", frozenset({"contacts", "mimic"})
 
     def __init__(self, world: WorldModel, count: int) -> None:
         """Worlds are stepped by as many threads as there are cores for this process."""
