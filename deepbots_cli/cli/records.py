@@ -171,7 +171,6 @@ def evaluation_text(result: EvaluationResult, cases: Sequence[EvaluationResult] 
         "episodes": f"{result.episodes:,} held-out starts from seed {result.seed}{'' if result.deterministic else ', actions sampled'}",
         **_statistics(result, success_defined=result.success_defined),
         **{f"reward {name}": f"{mean:.2f} per episode" for name, mean in terms.items()},
-        "video": result.video,
     }
     where = f", case {result.case}" if result.case else f", stage {result.stage}" if result.stage else ""
     text = "\n".join([f"evaluation of {result.scenario}{where}", row_as_lines(rows), *_notes(result.notes), result.verdict])

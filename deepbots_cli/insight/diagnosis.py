@@ -125,7 +125,7 @@ def not_finite(t: TrainingEvidence) -> Numbers | None:
     """The training stopped with an error after {steps} steps: {error}.
 
     Try: Keep arguments of sqrt, log and divisions away from 0 with max(...), or lower `train.learning_rate`; explain the episode with
-    `deepbots explain-episode RUN/failures/NNNN.json`.
+    `deepbots diagnose RUN/failures/NNNN.json`.
     """
     if not t.has_failed or _AT_RESET in t.failure:
         return None
@@ -166,7 +166,8 @@ def ending_at_once(t: TrainingEvidence) -> Numbers | None:
     """Episodes end before the policy can do anything: '{ending}' ends {share} of them, half within {length} and 90% within {long} of
     {longest} steps.
 
-    Try: Loosen the bound of '{ending}', or start farther away from it: `deepbots explain-episode RUN` shows the value and the bound.
+    Try: Loosen the bound of '{ending}', or start farther away from it: `deepbots diagnose RUN --episode failed` shows the value and
+    the bound.
     """
     lengths, longest = t.episodes.lengths, t.program.truncation.max_episode_steps(t.program.period)
     if len(lengths) < MIN_EPISODES:
@@ -422,7 +423,7 @@ def exploration_collapsed(t: TrainingEvidence) -> Numbers | None:
 def one_ending(t: TrainingEvidence) -> Numbers | None:
     """'{ending}' ends {share} of the last {episodes} episodes, after {length} steps on average.
 
-    Try: Run `deepbots explain-episode RUN`: it shows the value and the bound of this ending in one of them.
+    Try: Run `deepbots diagnose RUN --episode failed`: it shows the value and the bound of this ending in one of them.
     """
     late = t.episodes_between(0.75, 1.0)
     if len(late) < MIN_EPISODES:

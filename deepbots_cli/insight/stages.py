@@ -225,8 +225,8 @@ def success_plateau(t: TrainingEvidence) -> Numbers | None:
     """The success rate no longer rises: it was between {low} and {high} from step {since} to {steps}{where}; the last half of these
     episodes succeed in {success}.
 
-    Try: Look at episodes that do not succeed: `deepbots eval RUN --details` shows which starts they have, `deepbots explain-episode RUN`
-    what they lack. More steps alone are unlikely to help.
+    Try: Look at episodes that do not succeed: `deepbots eval RUN --details` shows which starts they have, and
+    `deepbots diagnose RUN --episode failed` what they lack. More steps alone are unlikely to help.
     """
     found = plateau(t)
     if found is None or some_starts_fail(t) is not None or stuck_in_stage(t) is not None or hides_success(t) is not None:

@@ -6,11 +6,10 @@ Runs keep the seeds of their evaluations, recordings their actions, failures bot
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, nullcontext
+from contextlib import closing
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal
 
 import gymnasium as gym
@@ -156,16 +155,14 @@ def trace_episodes(
     seed: int,
     model: ModelName = "best",
     deterministic: bool = True,
-    films: Mapping[int, Path] = MappingProxyType({}),
     permissions: Permissions = Permissions(),
 ) -> Iterator[Trace]:
-    """Episodes of the evaluation of a run with this root seed; `films` are the MP4 files to write, by the number of the episode.
+    """Episodes of the evaluation of a run with this root seed.
 
     Raises:
         RunError: The run holds no model, or one that does not fit.
-        UsageError: Films are wanted, and the engine cannot draw.
     """
-    from deepbots_cli.learning import evaluation, video
+    from deepbots_cli.learning import evaluation
     from deepbots_cli.learning.sb3.algorithms import torch_settings
     from deepbots_cli.rollout.policies import PolicyDriver
 
@@ -174,12 +171,10 @@ def trace_episodes(
     if not run.model(model).is_file():
         raise RunError(f"{run.path} holds no model '{model}'; train it first, with: deepbots train --resume {run.path}")
     watch = instrument_program(run.program)
-    with torch_settings(), closing(_world(watch, run.engine_for(run.program), permissions, draw=bool(films))) as world:
+    with torch_settings(), closing(_world(watch, run.engine_for(run.program), permissions)) as world:
         policy = evaluation.load_model(run, model, world)
         for number in numbers:
-            film, begin = films.get(number), Start.of_evaluation(seed, number)
-            with video.recording_video(world, film, watch.program.period) if film is not None else nullcontext(world) as acted:
-                play(acted, PolicyDriver(policy, acted, deterministic=deterministic), begin)
+            play(world, PolicyDriver(policy, world, deterministic=deterministic), Start.of_evaluation(seed, number))
             trace = world.trace(f"episode {number} of {run.path}", notes=run.notes())
             row = list(world.world.agents).index(trace.agent) if trace.agent else None
             observations = [seen if row is None else value_of_row(seen, row) for seen in world.observations[:-1]]
@@ -187,8 +182,8 @@ def trace_episodes(
             yield trace
 
 
-def _world(watch: InstrumentedProgram, engine: str | None, permissions: Permissions, *, draw: bool = False) -> TraceRecorder:
-    return TraceRecorder(api.build(watch.program, engine=engine, permissions=permissions, render_mode="rgb_array" if draw else None), watch)
+def _world(watch: InstrumentedProgram, engine: str | None, permissions: Permissions) -> TraceRecorder:
+    return TraceRecorder(api.build(watch.program, engine=engine, permissions=permissions), watch)
 
 
 # Recordings and failures

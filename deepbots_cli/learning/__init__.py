@@ -21,7 +21,6 @@ statistics.py    intervals, gates that may stop early, comparisons of groups of 
 report.py        results as JSON, progress
 failures.py      what failed in an episode, kept to be reproduced
 policy.py        a trained policy as an object to call
-video.py         one episode as mp4
 
 The names below are imported on first use: torch alone takes a second.
 """

@@ -18,7 +18,7 @@ from deepbots_cli.api import Compiled, build_batch
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.learning import learner, video
+from deepbots_cli.learning import learner
 from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch, supervisor_factory
 from deepbots_cli.learning.episodes import UNBOUNDED, DrawnBin, Summary, by_drawn_value
 from deepbots_cli.learning.failures import FailureRecorder
@@ -72,7 +72,6 @@ class EvaluationResult(Summary):
     success_defined: bool
     solved: bool | None
     verdict: str
-    video: Path | None
     notes: tuple[str, ...]
     return_bounds: tuple[float | None, float | None]
     outcomes: tuple[Episode, ...] = field(repr=False)
@@ -104,8 +103,6 @@ def evaluate(
     scenario: Compiled | Scenario | str | Path | None = None,
     case: str | None = None,
     stage: str | None = None,
-    video_to: str | Path | None = None,
-    force: bool = False,
     copies: int | None = None,
     permissions: Permissions = Permissions(),
     engine: str | None = None,
@@ -128,8 +125,6 @@ def evaluate(
         scenario: Another scenario to evaluate in, as for `train`; its observation, action and messages must be those of the run.
         case: One of the scenario's cases to evaluate in, by name.
         stage: One of the stages of its curriculum to evaluate in, by name.
-        video_to: Where to write the first episode as mp4.
-        force: Whether to overwrite a video that exists.
         copies: Single worlds at a time, 1 to 8. By default a batch of worlds if the engine has batches and the scenario fits one, else 8.
         permissions: With `code`, terms in Python run.
         engine: The physics engine; by default that of the training, or of `scenario` if it names another.
@@ -139,14 +134,10 @@ def evaluate(
 
     Raises:
         RunError: No run, a damaged one, or one that does not fit `scenario`; says field by field why.
-        UsageError: The numbers make no sense, or the video cannot be written.
-        MissingExtraError: A video is wanted and imageio is not installed.
+        UsageError: The numbers make no sense.
     """
     setting = _Setting(run, episodes, seed, scenario, case, stage, permissions, engine, build)
     known, program, count, make, engine = setting.run, setting.program, setting.episodes, setting.build, setting.engine or ""
-    video_to = None if video_to is None else Path(video_to)
-    if video_to is not None:
-        video.check_video_path(video_to, force=force)
     seeds = [derive_seed(setting.seed, "evaluation", k) for k in range(count)]
     with torch_settings(), ExitStack() as stack:
         done: list[Episode] | None = None
@@ -164,11 +155,7 @@ def evaluate(
                 stack.callback(worlds[-1].close)
             policy = load_model(known, model, worlds[0])
             done = play_episodes(policy, worlds, seeds, deterministic=deterministic, on_episode=on_episode, until=until)
-        if video_to is not None:
-            world = stack.enter_context(closing(make(program, render_mode="rgb_array")))
-            filmed = stack.enter_context(video.recording_video(world, video_to, program.period))
-            play_episodes(policy, [filmed], seeds[:1], deterministic=deterministic)
-    return setting.result(model, done, deterministic=deterministic, video=video_to)
+    return setting.result(model, done, deterministic=deterministic)
 
 
 def evaluate_baselines(
@@ -272,7 +259,7 @@ class _Setting:
         self.engine = None if build else engine
         self.build = build or supervisor_factory(engine, permissions=permissions)
 
-    def result(self, model: str, done: Sequence[Episode], *, deterministic: bool = True, video: Path | None = None) -> EvaluationResult:
+    def result(self, model: str, done: Sequence[Episode], *, deterministic: bool = True) -> EvaluationResult:
         """What these episodes come to."""
         run, program, engine, solved = self.run, self.program, self.engine, self.program.agent.solved
         low, high = possible_returns(program) if engine else UNBOUNDED  # a world of the caller may pay anything
@@ -309,7 +296,6 @@ class _Setting:
             planned=self.episodes,
             required_episodes=solved.episodes if solved else None,
             deterministic=deterministic,
-            video=video,
             notes=(*run.notes(), *identity.timing_differences(run.program, program)),
             outcomes=tuple(done),
             return_bounds=(low if low > -math.inf else None, high if high < math.inf else None),

@@ -44,6 +44,10 @@ class Showing:
     """Of a batch; 0 for a single world."""
     start: Mapping[str, Any] = field(default_factory=dict, hash=False)
     """The `options` of every reset."""
+    model: ModelName = "best"
+    """Of a run that has ended, which model acts; while it is trained, the newest one does."""
+    deterministic: bool = True
+    """Whether the policy takes its likeliest action, or samples."""
 
     def open(self) -> ShowingState:
         """Compile it; findings are returned and not raised.
@@ -142,9 +146,17 @@ class ShowingState:
 
 
 class RunDriver(Driver):
-    """The best policy of a run, which acts as in an evaluation; while the run is trained, the newest one of each episode."""
+    """The policy of a run, which acts as in an evaluation; while the run is trained, the newest one of each episode."""
 
-    def __init__(self, run: Run, env: Supervisor, batch: BatchSupervisor | None = None) -> None:
+    def __init__(
+        self,
+        run: Run,
+        env: Supervisor,
+        batch: BatchSupervisor | None = None,
+        *,
+        model: ModelName = "best",
+        deterministic: bool = True,
+    ) -> None:
         """In a `batch`, one forward pass acts in all worlds."""
         try:
             from deepbots_cli.learning import evaluation
@@ -157,18 +169,20 @@ class RunDriver(Driver):
         self._load, self._driver = evaluation.load_model, PolicyDriver
         self._steps_of = steps_of
         self._run, self._env, self._batch = run, env, batch
+        self._model, self._deterministic = model, deterministic
         self._policy: Driver | None = None
         self._stamp: tuple[int, int] | None = None
         self.begin(Start())
 
     def begin(self, start: Start) -> None:
         running = RunRecord.read(self._run.path).status == "running"
-        names: tuple[ModelName, ...] = ("best", "last")
+        names: tuple[ModelName, ...] = ("last", "best") if self._model == "last" else ("best", "last")
         found = {name: stamp for name in names if (stamp := file_stamps([path := self._run.model(name)])[path]) is not None}
         name = next(iter(found if not running else sorted(found, key=found.__getitem__, reverse=True)), None)
         if name is not None and found[name] != self._stamp:
             model = self._load(self._run, name, self._env)
-            self._policy, self._stamp = self._driver(model, self._env, batch=self._batch), found[name]
+            acting = self._driver(model, self._env, batch=self._batch, deterministic=self._deterministic)
+            self._policy, self._stamp = acting, found[name]
             self.note = f"policy after {self._steps_of(self._run.model(name)):,} steps{self._stage()}" if running else ""
         if self._policy is not None:
             self._policy.begin(start)
@@ -242,7 +256,8 @@ class Player:
         elif self.opened.run is None:
             raise UsageError("only a run has a policy")
         else:
-            self.driver = RunDriver(self.opened.run, self.env)
+            shown = self.opened.shown
+            self.driver = RunDriver(self.opened.run, self.env, model=shown.model, deterministic=shown.deterministic)
         self.driver_name = name
 
     def _make_driver(self, env: Supervisor, name: str) -> Driver:

@@ -68,10 +68,10 @@ HUSKY = "package://pybullet_data/husky/husky.urdf"
 @pytest.mark.parametrize("name", few([*(n for n in shipped.robot_names() if n != "cartpole"), HUSKY], ("epuck", HUSKY)))
 def test_a_robot_is_drawn_so_that_it_fills_the_picture(deepbots, tmp_path, name):
     reference = str(shipped.robot_path(name) or name)
-    ran = deepbots("inspect", reference, "--picture", str(tmp_path / "robot.png"))
+    ran = deepbots("render", reference, "-o", str(tmp_path / "robot.png"))
     assert ran.code == 0, ran.err
     data = (tmp_path / "robot.png").read_bytes()
-    assert struct.unpack(">II", data[16:24]) == (480, 320)
+    assert struct.unpack(">II", data[16:24]) == (640, 480)
 
 
 def test_a_scenario_goes_before_a_robot_of_the_same_name(deepbots):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import re
-import zlib
 from contextlib import closing
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from deepbots_cli import api
 from deepbots_cli.cli.commands.bench import measure
@@ -28,7 +28,7 @@ def inspected(deepbots, *words):
 
 
 def test_inspect_shows_units_ranges_and_what_was_written(deepbots):
-    ran = deepbots("inspect", "cartpole")
+    ran = deepbots("inspect", "cartpole", "--full")
     assert ran.code == 0
     for shown in ("cart.pole_angle", "-0.34907", "rad", "abs(cart.pole_angle) > fall_angle", "uniform(-1 .. 1 deg)", "Discrete(2)", "PPO"):
         assert shown in ran.out
@@ -107,6 +107,15 @@ def test_without_messages_there_is_no_table_of_messages(deepbots):
     assert not {"messages", "message_fields"} & inspected(deepbots, "--set", "messages.format=none").keys()
 
 
+def test_a_student_sees_the_parts_of_the_task_and_full_the_rest(deepbots):
+    shown, full = deepbots("inspect", "cartpole"), deepbots("inspect", "cartpole", "--full")
+    tables = [line.partition(":")[0] for line in shown.out.splitlines() if line and not line.startswith(" ")]
+    assert tables == ["scenario", "robots", "message_fields", "action", "observation", "reward", "endings", "training"]
+    assert shown.err == "--full also shows: joints, parameters, sensors, actuators, messages, signals, timing, reset, hyperparameters\n"
+    assert "n_steps" in full.out
+    assert full.err == ""
+
+
 def test_immediate_actions_act_at_once_and_every_observation_is_fresh(deepbots):
     timing = inspected(deepbots)["timing"]
     assert {row["age_s"] for row in timing} == {0}
@@ -121,21 +130,16 @@ def test_paper_timing_ages_actions_and_messages_by_a_tick_but_not_what_the_super
 
 
 def test_a_picture_of_the_world_is_a_png_with_something_in_it(deepbots, tmp_path):
-    ran = deepbots("inspect", "cartpole", "--picture", "world.png")
-    data = (tmp_path / "world.png").read_bytes()
-    assert ran.code == 0
-    assert "world.png" in ran.err
-    assert data[:8] == b"\x89PNG\r\n\x1a\n"
-    width, height = int.from_bytes(data[16:20]), int.from_bytes(data[20:24])
-    start = data.index(b"IDAT") + 4
-    pixels = zlib.decompress(data[start : start + int.from_bytes(data[start - 8 : start - 4])])
-    assert len(pixels) == height * (1 + 3 * width)
-    assert len(set(pixels)) > 20
+    ran = deepbots("render", "cartpole", "-o", "world.png")
+    assert (ran.code, ran.out) == (0, "world.png\n")
+    with Image.open(tmp_path / "world.png") as image:
+        assert image.size == (640, 480)
+        assert len(set(image.tobytes())) > 20
 
 
 @pytest.mark.parametrize("name", ["world.jpg", "no/where.png"])
 def test_a_picture_that_could_not_be_written_is_refused_at_once(deepbots, name):
-    ran = deepbots("inspect", "cartpole", "--picture", name)
+    ran = deepbots("render", "cartpole", "-o", name)
     assert (ran.code, ran.out) == (2, "")
     assert name in ran.err
 

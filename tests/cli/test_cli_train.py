@@ -53,7 +53,7 @@ def trained(first, tmp_path):
 def test_a_training_ends_with_a_verdict_and_what_to_do_next(trained, tmp_path):
     assert "mean return" in trained.out
     assert "solved: unknown; the criterion needs" in trained.out
-    assert "deepbots eval mine --video" in trained.err
+    assert "deepbots render mine -o mine.mp4" in trained.err
     assert "tensorboard --logdir mine" in trained.err
     assert json.loads((tmp_path / "mine" / "run.json").read_text())["status"] == "finished"
 
@@ -66,7 +66,7 @@ def test_a_solved_task_is_to_be_seen_and_used_and_not_trained_twice_as_long(deep
 
 def test_the_next_commands_can_be_pasted_though_the_path_has_blanks(deepbots, tmp_path):
     ran = deepbots(*TINY, "--run", "my läufe/a b")
-    assert "deepbots eval 'my läufe/a b' --video 'a b.mp4'" in ran.err
+    assert "deepbots render 'my läufe/a b' -o 'a b.mp4'" in ran.err
     assert "--resume 'my läufe/a b'" in ran.err
     assert "--logdir 'my läufe/a b/tensorboard'" in ran.err
     assert "deepbots lint 'to change/cartpole.yaml'" in deepbots("new", "cartpole", "to change", "--from", "cartpole").err
@@ -110,7 +110,8 @@ def test_a_trained_run_can_be_evaluated_listed_filmed_and_gone_on_with(deepbots,
     shown = json.loads(deepbots("eval", "mine", "--episodes", "2", "--json").out)
     assert shown["episodes"] == 2
     assert shown["solved"] is None
-    assert deepbots("eval", "mine", "--episodes", "1", "--last", "--video", "out.mp4").code == 0
+    assert deepbots("eval", "mine", "--episodes", "1", "--last").code == 0
+    assert deepbots("render", "mine", "--last", "-o", "out.mp4").code == 0
     assert (tmp_path / "out.mp4").stat().st_size > 1000
     resumed = json.loads(deepbots("train", "--resume", "mine", "--timesteps", "1200", "--quiet", "--json").out)
     assert resumed["training"]["steps"] >= 1200
@@ -191,11 +192,6 @@ def test_two_runs_of_a_scenario_are_compared_on_the_same_starts(deepbots, traine
     assert found["differences"][0]["mean_return"] == {"mean": 0.0, "interval": [0.0, 0.0], "improvement": 0.5}
     one, other = found["groups"]
     assert one["runs"][0]["outcomes"] == other["runs"][0]["outcomes"]
-
-
-def test_robustness_refuses_what_it_would_leave_out(deepbots, trained):
-    ran = deepbots("eval", "mine", "--robustness", "--require-solved")
-    assert (ran.code, ran.err) == (2, "error: --require-solved does not go with --robustness\n")
 
 
 def test_a_gate_without_a_success_is_decided_long_before_the_last_episode(deepbots, tmp_path):

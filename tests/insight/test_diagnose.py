@@ -363,7 +363,7 @@ def test_a_training_that_stops_at_a_reset_has_this_cause_alone(tmp_path, capsys)
     training = read_training(Run.open(tmp_path / "run"))
     run_probes(training)
     assert _causes(training) == ["ending_at_reset"]
-    assert main(["explain-episode", str(tmp_path / "run")]) == 2
+    assert main(["diagnose", str(tmp_path / "run"), "--episode", "0"]) == 2
     assert "deepbots diagnose" in capsys.readouterr().err
 
 
@@ -407,7 +407,7 @@ def test_a_diagnosis_is_printed_with_numbers_and_what_to_try(short, capsys):
 
 
 def test_an_episode_of_a_run_is_explained_with_its_critic(short, capsys):
-    assert main(["explain-episode", str(short), "--json", "--episode", "3"]) == 0
+    assert main(["diagnose", str(short), "--json", "--episode", "3"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert 0 < data["moment"]["time"] < data["time"]
     assert data["end"]["margin"] > 0
@@ -480,10 +480,14 @@ def test_failed_episodes_are_filmed(short, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["eval", str(run), "--episodes", "2"]) == 0
     capsys.readouterr()
-    assert main(["eval", str(run), "--episodes", "failed", "--video", "failed.mp4", "--json"]) == 0
+    assert main(["eval", str(run), "--episodes", "failed", "--json"]) == 0
     failed = json.loads(capsys.readouterr().out)["failed"]
-    assert all(Path(each["film"]).stat().st_size > 1000 for each in failed)
-    assert [each["film"] for each in failed] == ["failed-0.mp4", "failed-1.mp4"]
+    assert main(["render", str(run), "--episodes", "failed", "-o", "failed.mp4", "--json"]) == 0
+    films = json.loads(capsys.readouterr().out)["files"]
+    assert [each["file"] for each in films] == ["failed-0.mp4", "failed-1.mp4"]
+    assert all(each["bytes"] > 1000 for each in films)
+    shown = [(episode["ended_by"], episode["steps"]) for each in films for episode in each["episodes"]]
+    assert shown == [(each["ended_by"], each["steps"]) for each in failed]
 
 
 def test_what_cannot_be_diagnosed_is_told_in_a_sentence(short, tmp_path, capsys):
@@ -500,11 +504,11 @@ def test_what_cannot_be_diagnosed_is_told_in_a_sentence(short, tmp_path, capsys)
     kept = {"evaluated": "9999", "model": "best", "seed": 2, "episodes": 1, "mean_return": 9.0, "return_interval": None, "solved": None,
             "success_defined": False, "success_rate": 0.0, "success_interval": [0.0, 1.0], "outcomes": None}  # fmt: skip
     evaluation.write_text(json.dumps(kept))
-    assert main(["explain-episode", str(run)]) == 2
+    assert main(["diagnose", str(run), "--episode", "failed"]) == 2
     assert "0001.json is damaged: 'outcomes'" in capsys.readouterr().err
     evaluation.unlink()
     shutil.rmtree(run / "models")
-    assert main(["explain-episode", str(run)]) == 2
+    assert main(["diagnose", str(run), "--episode", "0"]) == 2
     assert "holds no model" in capsys.readouterr().err
     assert main(["diagnose", str(tmp_path)]) == 2
     assert "is not a run" in capsys.readouterr().err

@@ -143,7 +143,7 @@ def test_a_recording_that_is_cut_is_refused_in_a_sentence(recording, tmp_path, l
     data = recording.read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: int(len(data) * length)])
-    assert main(["explain-episode", str(cut)]) == 2
+    assert main(["diagnose", str(cut)]) == 2
     assert "cut short or damaged" in capsys.readouterr().err
 
 
@@ -162,14 +162,14 @@ def test_what_is_no_episode_is_told_in_a_sentence(recording, tmp_path, capsys):
         ("nothing.mcap", "no file, folder or shipped scenario"),
         ("nothing.json", "is missing"),
     ]:
-        assert main(["explain-episode", shown]) in (1, 2)
+        assert main(["diagnose", shown]) in (1, 2)
         assert words in capsys.readouterr().err
-    assert main(["explain-episode", str(recording), "--episode", "9"]) == 2
+    assert main(["diagnose", str(recording), "--episode", "9"]) == 2
     assert "holds no episode 9; it holds 0 to 1" in capsys.readouterr().err
 
 
 def test_json_holds_the_same_statements(recording, capsys):
-    assert main(["explain-episode", str(recording), "--json"]) == 0
+    assert main(["diagnose", str(recording), "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert [each["text"] for each in data["statements"]] == [each.text for each in explain(_traced(recording))]
     assert data["end"]["margin"] > 0

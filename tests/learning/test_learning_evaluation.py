@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import errno
 import json
-import os
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import stand_in
 
-from deepbots_cli import files
 from deepbots_cli.api import Compiled, compile, make
 from deepbots_cli.cli.records import case_rows, evaluation_text, summary_text
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.expressions.dimensions import LENGTH
-from deepbots_cli.learning import TrainingResult, evaluate, evaluate_baselines, evaluate_cases, train, video
+from deepbots_cli.learning import TrainingResult, evaluate, evaluate_baselines, evaluate_cases, train
 from deepbots_cli.learning.episodes import Summary, by_drawn_value
 from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.verdict import solved_verdict
@@ -35,9 +32,7 @@ def test_the_result_does_not_depend_on_how_many_worlds_run_at_once(trained: Trai
     assert results[0]["least_return"] != results[0]["greatest_return"]
 
 
-def test_evaluate_takes_the_path_of_a_run_as_text(trained: TrainingResult, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"does not end in \.mp4"):
-        evaluate(str(trained.run), episodes=1, video_to=str(tmp_path / "first.gif"), build=stand_in.build)
+def test_evaluate_takes_the_path_of_a_run_as_text(trained: TrainingResult) -> None:
     assert evaluate(str(trained.run), episodes=1, build=stand_in.build) == evaluate(trained.run, episodes=1, build=stand_in.build)
     assert evaluate_cases(str(trained.run), build=stand_in.build) == ()
 
@@ -118,49 +113,6 @@ def test_a_policy_may_be_tried_in_a_scenario_with_other_rules(trained: TrainingR
     result = evaluate(trained.run, episodes=3, scenario=stand_in.compiled(max_steps=7, name="Short"), build=stand_in.build)
     assert result.scenario == "Short"
     assert result.greatest_return == 7
-
-
-def test_a_video_shows_the_first_episode(trained: TrainingResult, tmp_path: Path) -> None:
-    imageio = pytest.importorskip("imageio.v2")
-    path = tmp_path / "out.mp4"
-    result = evaluate(trained.run, episodes=1, video_to=path, build=stand_in.build)
-    assert [item.name for item in tmp_path.iterdir()] == ["out.mp4"]
-    with imageio.get_reader(path) as reader:
-        assert reader.get_meta_data()["fps"] == pytest.approx(31.25)
-        assert reader.count_frames() == result.mean_length + 1
-
-
-def test_a_video_of_short_steps_shows_about_thirty_pictures_a_second(tmp_path: Path) -> None:
-    imageio = pytest.importorskip("imageio.v2")
-    world = stand_in.build(stand_in.compiled(max_steps=100).program, render_mode="rgb_array")
-    with video.recording_video(world, tmp_path / "out.mp4", 0.008) as filmed:
-        filmed.reset(seed=0)
-        for _ in range(7):
-            filmed.step(filmed.action_space.sample())
-    world.close()
-    with imageio.get_reader(tmp_path / "out.mp4") as reader:
-        assert reader.get_meta_data()["fps"] == pytest.approx(31.25)
-        assert reader.count_frames() == 1 + 7 // 4
-
-
-@pytest.mark.parametrize(("name", "reason"), [("out.avi", "mp4"), ("missing/out.mp4", "no directory")])
-def test_a_video_that_cannot_be_written_is_refused_before_anything_runs(
-    trained: TrainingResult, tmp_path: Path, name: str, reason: str
-) -> None:
-    with pytest.raises(UsageError, match=reason):
-        evaluate(trained.run, video_to=tmp_path / name, build=stand_in.build)
-
-
-def test_a_video_in_a_folder_that_is_read_only_is_one_sentence_that_names_it(
-    trained: TrainingResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    def refuse(**_: object) -> None:
-        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
-
-    monkeypatch.setattr(files, "TemporaryFile", refuse)  # permissions do not bind the user that tests may run as
-    with pytest.raises(UsageError, match=r"out\.mp4 cannot be written: read-only file system"):
-        evaluate(trained.run, video_to=tmp_path / "out.mp4", build=stand_in.build)
-    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize(("episodes", "seed"), [(0, 0), (-1, 0), (1, -1)])

@@ -29,18 +29,17 @@ RUN = [
     ["diagnose", "?"],
     ["report", "?", "-o", "out.html"],
     ["compare", "?", "?"],
+    ["robustness", "?"],
     ["export", "?", "-o", "bundle"],
-    ["explain-episode", "?"],
+    ["diagnose", "?", "--episode", "0"],
 ]
 EITHER = [
     ["inspect", "?"],
     ["diff", "?", "cartpole"],
     ["view", "?"],
     ["play", "?"],
-    ["picture", "?"],
-    ["clip", "?"],
-    ["record", "?", "-o", "one.mcap"],
 ]
+RENDERED = [["render", "?", "-o", f"one.{suffix}"] for suffix in ("png", "gif", "mcap")]
 FOLDER_OR_FILE = [["lint", "?"], ["test", "?"]]
 
 
@@ -70,22 +69,23 @@ def refused(words: list[str], name: str, capsys: pytest.CaptureFixture[str]) -> 
 
 
 NOWHERE = "no file, folder or shipped scenario is called '{}'; "
+NEAR_CARTPOLE = "did you mean cartpole? (`deepbots scenarios` shows all)"
 NOT_A_SOURCE = "{} is not a run, a group or a scenario: it is a folder without run.json or group.json"
 
 
 @pytest.mark.parametrize(
     ("name", "commands", "sentence"),
     [
-        ("cartpool", [*SCENARIO, *RUN, *EITHER, *FOLDER_OR_FILE], NOWHERE + "did you mean cartpole? (`deepbots scenarios` shows all)"),
-        ("cart", [*SCENARIO, *RUN, *EITHER, *FOLDER_OR_FILE], NOWHERE + "did you mean cart.yaml?"),
-        ("empty", [*SCENARIO, *RUN, *EITHER], NOT_A_SOURCE),
-        ("pictures", [*SCENARIO, *RUN, *EITHER], NOT_A_SOURCE),
-        ("x" * 300, [*SCENARIO, *RUN, *EITHER], "{} cannot be read: file name too long"),
+        ("cartpool", [*SCENARIO, *RUN, *EITHER, *RENDERED, *FOLDER_OR_FILE], NOWHERE + NEAR_CARTPOLE),
+        ("cart", [*SCENARIO, *RUN, *EITHER, *RENDERED, *FOLDER_OR_FILE], NOWHERE + "did you mean cart.yaml?"),
+        ("empty", [*SCENARIO, *RUN, *EITHER, *RENDERED], NOT_A_SOURCE),
+        ("pictures", [*SCENARIO, *RUN, *EITHER, *RENDERED], NOT_A_SOURCE),
+        ("x" * 300, [*SCENARIO, *RUN, *EITHER, *RENDERED], "{} cannot be read: file name too long"),
         ("robot.urdf", [*SCENARIO, *RUN, *EITHER[1:], *FOLDER_OR_FILE], "{0} is a robot file, not a scenario; `deepbots inspect {0}`"),
-        ("noise.bin", RUN[:6], "{} is a file, and not a run"),
-        ("cart.yaml", RUN[:6], "{} is a scenario, and not a run"),
+        ("noise.bin", RUN[:7], "{} is a file, and not a run"),
+        ("cart.yaml", RUN[:7], "{} is a scenario, and not a run"),
         ("broken", SCENARIO, "{} is a run, and not a scenario"),
-        ("broken", [*RUN[:6], *EITHER], "{}/run.json is damaged: it is not valid JSON"),
+        ("broken", [*RUN[:7], *EITHER, *RENDERED], "{}/run.json is damaged: it is not valid JSON"),
         ("group", [*SCENARIO], "{} is a group of runs, and not a scenario"),
         ("group", [["export", "?", "-o", "bundle"], ["view", "?"]], "{} is a group of runs, and not a "),
         ("run/models/agent/best.zip", [["compare", "?", "?"], ["diagnose", "?"]], "{} is a model of a run, and not a run"),

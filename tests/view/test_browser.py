@@ -201,7 +201,7 @@ def test_a_recording_is_scrubbed_beside_its_messages(new_tab, tmp_path):
     from deepbots_cli.cli import main
 
     path = tmp_path / "found.mcap"
-    assert main(["record", "find_ball", "--driver", "around", "--output", str(path)]) == 0
+    assert main(["render", "find_ball", "--driver", "around", "--output", str(path)]) == 0
     with served(str(path)) as page:
         tab = new_tab()
         tab.open(page.address)

@@ -262,7 +262,7 @@ def test_what_cannot_be_opened_is_told(capsys):
 def test_a_recording_is_played_and_scrubbed(tmp_path):
     pytest.importorskip("mcap")
     path = tmp_path / "cartpole.mcap"
-    assert main(["record", "cartpole", "--episodes", "2", "--output", str(path)]) == 0
+    assert main(["render", "cartpole", "--episodes", "2", "--output", str(path)]) == 0
     with closing(Page(Showing(str(path)), port=0)) as page:
         page.play(False)
         page.seek(7)

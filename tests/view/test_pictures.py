@@ -116,19 +116,27 @@ def test_an_offline_page_holds_the_episode(tmp_path):
 
 def test_the_commands_write_their_files_and_refuse_what_they_cannot(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["picture", "cartpole", "--size", "120x90", "--output", "a.png"]) == 0
+    assert main(["render", "cartpole", "--size", "120x90", "--output", "a.png"]) == 0
     with Image.open("a.png") as image:
         assert image.size == (120, 90)
-    assert main(["clip", "cartpole", "--size", "120x90", "--seconds", "0.3", "-o", "a.gif"]) == 0
+    assert main(["render", "cartpole", "--size", "120x90", "--seconds", "0.3", "-o", "a.gif"]) == 0
     assert "a.gif" in capsys.readouterr().out
     for words, said in (
-        (["picture", "cartpole", "-o", "a.jpg"], "must end in .png"),
-        (["clip", "cartpole", "-o", "none/a.gif"], "no directory"),
-        (["picture", "cartpole", "--size", "9x9"], "is not a size"),
-        (["picture", "cartpole", "--from", "1,2"], "is not a point"),
-        (["picture", "cartpole", "--from", "nan,0,0"], "no number"),
-        (["clip", "find_ball", "--driver", "nobody", "-o", "b.gif"], "no script 'nobody'"),
-        (["clip", "cartpole", "--driver", "policy", "-o", "b.gif"], "only a run has a policy"),
+        (["render", "cartpole", "-o", "a.jpg"], "a.jpg must end in .png, .mp4, .gif, .html or .mcap; the suffix says what is made"),
+        (["render", "cartpole", "-o", "none/a.gif"], "no directory"),
+        (["render", "cartpole", "--size", "9x9"], "is not a size"),
+        (["render", "cartpole", "--from", "1,2"], "is not a point"),
+        (["render", "cartpole", "--from", "nan,0,0"], "no number"),
+        (["render", "find_ball", "--driver", "nobody", "-o", "b.gif"], "there is no driver 'nobody'"),
+        (["render", "cartpole", "--driver", "policy", "-o", "b.gif"], "only a run has a policy"),
+        (["render", "cartpole", "--driver", "you", "-o", "b.gif"], "you can drive in the browser only; use `deepbots play`"),
+        (["render", "cartpole", "--labels", "-o", "b.gif"], "b.gif: --labels is for .png; leave it out, or name another file"),
+        (
+            ["render", "cartpole", "--rays", "--seconds", "1", "-o", "b.mcap"],
+            "b.mcap: --rays is for .png; --seconds is for .mp4, .gif, .html; leave them out, or name another file",
+        ),
+        (["render", "cartpole", "--episodes", "failed", "-o", "b.gif"], "--episodes failed repeats an evaluation of a run"),
+        (["render", "epuck", "-o", "b.gif"], "epuck is a robot file, of which there is a picture (.png)"),
     ):
         assert main(words) == 2
         assert said in " ".join(capsys.readouterr().err.split())

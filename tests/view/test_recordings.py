@@ -122,7 +122,7 @@ def test_the_first_step_and_quantity_that_differ_are_named(find_ball, tmp_path, 
     ["cartpole", "find_ball", *(pytest.param(n, marks=pytest.mark.slow) for n in ("line_follower", "panda_reach", "quadrotor", "tag"))],
 )
 def test_what_was_recorded_once_happens_again(name, tmp_path, capsys):
-    """Recordings in the folder `golden`, which `deepbots record NAME --seed 1 --steps N` wrote; the tolerance is for other machines."""
+    """Recordings in the folder `golden`, which `deepbots render NAME --seed 1 --steps N` wrote; the tolerance is for other machines."""
     pytest.importorskip("pybullet")  # with which they were recorded
     path = tmp_path / f"{name}.mcap"
     path.write_bytes(lzma.decompress((Path(__file__).parent / "golden" / f"{name}.mcap.xz").read_bytes()))
@@ -160,7 +160,7 @@ def test_a_tolerance_bears_small_differences_only(find_ball, tmp_path, by, same)
 def test_a_hundred_recordings_happen_again_to_the_bit(tmp_path, capsys):
     for name in ("cartpole", "find_ball", "line_follower", "panda_reach", "quadrotor", "tag"):
         path = tmp_path / f"{name}.mcap"
-        assert main(["record", name, "--seed", "7", "--episodes", "17", "--steps", "40", "--output", str(path)]) == 0
+        assert main(["render", name, "--seed", "7", "--episodes", "17", "--steps", "40", "--output", str(path)]) == 0
         assert main(["replay", "--verify", str(path)]) == 0
         assert "17 episodes and " in capsys.readouterr().out
 
@@ -202,8 +202,8 @@ def test_the_points_of_a_scan_are_where_the_rays_end(count):
 def test_a_picture_of_a_recording_is_that_of_the_episode(find_ball, tmp_path):
     live, replayed = tmp_path / "live.png", tmp_path / "replayed.png"
     options = ["--size", "240x180", "--steps", "40", "--rays", "--episode", "2", "--output"]
-    assert main(["picture", "find_ball", "--driver", "around", "--seed", "1", *options, str(live)]) == 0
-    assert main(["picture", str(find_ball[0]), *options, str(replayed)]) == 0
+    assert main(["render", "find_ball", "--driver", "around", "--seed", "1", *options, str(live)]) == 0
+    assert main(["render", str(find_ball[0]), *options, str(replayed)]) == 0
     assert live.read_bytes() == replayed.read_bytes()
 
 
@@ -243,7 +243,7 @@ def test_what_cannot_be_read_is_told_in_a_sentence(find_ball, tmp_path, change, 
 )
 def test_a_step_that_cannot_be_is_told_in_a_sentence(find_ball, tmp_path, capsys, topic, edit):
     path = _changed(find_ball[0], tmp_path / "changed.mcap", payload=lambda _, name, content: edit(content) if name == topic else content)
-    assert main(["picture", str(path), "--episode", "2", "--output", str(tmp_path / "x.png")]) == 2
+    assert main(["render", str(path), "--episode", "2", "--output", str(tmp_path / "x.png")]) == 2
     assert "is damaged: a step of it cannot be read" in capsys.readouterr().err
 
 
@@ -309,13 +309,13 @@ def test_a_bomb_is_not_unpacked(find_ball, tmp_path):
 
 def test_options_and_files_of_the_command(tmp_path, monkeypatch, capsys, find_ball):
     monkeypatch.chdir(tmp_path)
-    assert main(["record", "cartpole", "--episodes", "2", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["recording"] == "cartpole-0-0.mcap"
-    assert [each["episode"] for each in told["episodes"]] == [0, 1]
-    assert main(["record", "cartpole"]) == 2
-    assert "cartpole-0-0.mcap already exists" in capsys.readouterr().err
-    assert main(["clip", str(find_ball[0]), "--episode", "7", "--output", "x.gif"]) == 2
+    assert main(["render", "cartpole", "--episodes", "2", "--json", "-o", "two.mcap"]) == 0
+    (made,) = json.loads(capsys.readouterr().out)["files"]
+    assert made["file"] == "two.mcap"
+    assert [each["episode"] for each in made["episodes"]] == [0, 1]
+    assert main(["render", "cartpole", "-o", "two.mcap"]) == 2
+    assert "two.mcap already exists" in capsys.readouterr().err
+    assert main(["render", str(find_ball[0]), "--episode", "7", "--output", "x.gif"]) == 2
     assert "holds no episode 7; it holds 2 to 3" in capsys.readouterr().err
-    assert main(["replay", "cartpole-0-0.mcap", "--json"]) == 0
+    assert main(["replay", "two.mcap", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["scenario"] == "CartPole"

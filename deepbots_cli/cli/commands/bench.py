@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal, throughput
-from deepbots_cli.cli.command import Json, Overrides, Scenario, Seed, integer, known_engine, option
+from deepbots_cli.cli.command import ADVANCED, Json, Overrides, Scenario, Seed, integer, known_engine, option
 from deepbots_cli.cli.tables import row_as_lines
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
@@ -39,10 +39,11 @@ def command(
     scenario: Scenario,
     overrides: Overrides = None,
     steps: Annotated[
-        int | None, integer("--steps N", "Steps per measurement; by default as many as fit into 20 s, at most 2,000.", 100)
+        int | None, integer("--steps N", "Steps per measurement; by default as many as fit into 20 s, at most 2,000.", 100, group=ADVANCED)
     ] = None,
     pairs: Annotated[
-        int | None, integer("--pairs N", "Number of pairs of measurements, one with and one without the environment; 5 by default.")
+        int | None,
+        integer("--pairs N", "Number of pairs of measurements, one with and one without the environment; 5 by default.", group=ADVANCED),
     ] = None,
     quick: Annotated[
         bool, option("--quick", "Measure 3 pairs of 600 steps. With several engines or batch, measure each once instead of three times.")
@@ -55,7 +56,7 @@ def command(
             "Physics engine, by default that of the scenario, or several to compare; batch is many worlds in MuJoCo.",
         ),
     ] = None,
-    worlds: Annotated[str | None, option("--worlds N,N", "With batch, how many worlds; 1,16,64,256 by default.")] = None,
+    worlds: Annotated[str | None, option("--worlds N,N", "With batch, how many worlds; 1,16,64,256 by default.", ADVANCED)] = None,
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:

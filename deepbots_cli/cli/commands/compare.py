@@ -11,7 +11,7 @@ import typer
 
 from deepbots_cli import api, learning
 from deepbots_cli.cli import records, terminal
-from deepbots_cli.cli.command import MAX_SEED, Json, integer, option
+from deepbots_cli.cli.command import ADVANCED, MAX_SEED, Json, integer, option
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions
 from deepbots_cli.learning.run import RunRecord, changed_settings, short_settings
@@ -25,13 +25,13 @@ def command(
         list[Path], typer.Argument(metavar="RUN", help="Groups, run directories, or folders of run directories; at least two runs.")
     ],
     episodes: Annotated[int | None, integer("--episodes N", "Episodes of each run; by default those of the scenario.")] = None,
-    seed: Annotated[int, integer("--seed N", "Root seed of the starts, the same for all runs.", 0, MAX_SEED)] = 0,
-    last: Annotated[bool, option("--last", "Compare the last models instead of the best ones.")] = False,
+    seed: Annotated[int, integer("--seed N", "Root seed of the starts, the same for all runs.", 0, MAX_SEED, group=ADVANCED)] = 0,
+    last: Annotated[bool, option("--last", "Compare the last models instead of the best ones.", ADVANCED)] = False,
     scenario: Annotated[
         str | None, option("--scenario SCENARIO", "Evaluate in this scenario; by default in the scenario of the first run.")
     ] = None,
     case: Annotated[str | None, option("--case NAME", "Evaluate in this case of the scenario.")] = None,
-    own: Annotated[bool, option("--own", "Evaluate each run in its own scenario, for runs with different observations.")] = False,
+    own: Annotated[bool, option("--own", "Evaluate each run in its own scenario, for runs with different observations.", ADVANCED)] = False,
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:

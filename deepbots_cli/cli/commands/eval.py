@@ -1,4 +1,4 @@
-"""`deepbots eval`: a run or a group in its scenario, its cases and several engines, what its result must reach (`Gates`), robustness."""
+"""`deepbots eval`: a run or a group in its scenario, its cases and several engines, what its result must reach (`Gates`)."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from deepbots_cli import api, learning
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.command import (
+    ADVANCED,
     MAX_SEED,
+    SCENARIO,
     Force,
-    Json,
     Overrides,
     fraction,
     integer,
     known_engine,
     option,
-    whole_number,
 )
-from deepbots_cli.cli.commands.insight import repeat_failed
+from deepbots_cli.cli.commands.diagnose import FAILED_EPISODES, episodes_or_failed, repeat_failed
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
 from deepbots_cli.document import Permissions
@@ -58,12 +58,7 @@ def _engines(names: list[str] | None) -> list[str] | None:
     return found or None
 
 
-FAILED_EPISODES = "failed"
-
-
-def _episodes(text: str) -> int | str:
-    """A parser: a number of episodes, or `failed`."""
-    return text if text == FAILED_EPISODES else whole_number()(text)
+_REQUIREMENTS = "Requirements"
 
 
 def command(
@@ -75,57 +70,53 @@ def command(
         option(
             "--episodes N|failed",
             "Number of episodes, by default `evaluation.episodes` of the scenario; `failed` repeats those that failed.",
-            parser=_episodes,
+            parser=episodes_or_failed,
         ),
     ] = None,
-    seed: Annotated[
-        int | None, integer("--seed N", "Root seed of the starts; by default the seed of the training, and 0 for a group.", 0, MAX_SEED)
-    ] = None,
-    last: Annotated[bool, option("--last", "Evaluate the last model instead of the best one.")] = False,
-    video: Annotated[Path | None, option("--video MP4", "Record a video of the first episode.")] = None,
-    scenario: Annotated[
-        str | None, option("--scenario SCENARIO", "Evaluate in this scenario; by default in the scenario of the run.")
-    ] = None,
-    overrides: Overrides = None,
-    case: Annotated[
-        str | None, option("--case NAME", "Evaluate in this case only; by default in the scenario and in all its cases.")
-    ] = None,
-    stage: Annotated[str | None, option("--stage NAME", "Evaluate in this stage of the curriculum only.")] = None,
-    stochastic: Annotated[
-        bool, option("--stochastic", "Sample the actions of the policy; by default it takes its likeliest action.")
-    ] = False,
     baselines: Annotated[
         bool, option("--baselines", "Evaluate random actions, zero actions and the scripts of the scenario on the same starts.")
     ] = False,
-    robustness: Annotated[
-        bool, option("--robustness", "Evaluate with latency, message loss, noise, another mass and friction, and weaker motors.")
-    ] = False,
-    mass_of: Annotated[
-        str | None,
-        option("--mass-of NAME", "Object or ROBOT.LINK whose mass --robustness changes; by default the heaviest link that can move."),
-    ] = None,
     details: Annotated[
         bool,
         option("--details", "Also show the result for each part of the range of every random value, and in each stage of the curriculum."),
     ] = False,
+    as_json: Annotated[bool, option("--json", "Print the result as JSON.")] = False,
+    scenario: Annotated[
+        str | None, option("--scenario SCENARIO", "Evaluate in this scenario; by default in the scenario of the run.", SCENARIO)
+    ] = None,
+    overrides: Overrides = None,
+    case: Annotated[
+        str | None, option("--case NAME", "Evaluate in this case only; by default in the scenario and in all its cases.", SCENARIO)
+    ] = None,
     engine: Annotated[
         list[str] | None,
         option(
             "--engine NAME[,NAME]",
             "Physics engine, by default that of the training; several, with commas between, are compared on the same starts.",
+            SCENARIO,
             callback=_engines,
         ),
     ] = None,
-    require_solved: Annotated[bool, option("--require-solved", "Exit with 1 unless the task is solved.")] = False,
+    require_solved: Annotated[bool, option("--require-solved", "Exit with 1 unless the task is solved.", _REQUIREMENTS)] = False,
     min_success: Annotated[
         float | None,
-        option("--min-success RATE", "Exit with 1 if the success rate is lower than RATE, such as 0.8 or 80%.", parser=fraction),
+        option("--min-success RATE", "Exit with 1 if the success rate is below RATE, such as 0.8 or 80%.", _REQUIREMENTS, parser=fraction),
     ] = None,
-    min_return: Annotated[float | None, option("--min-return VALUE", "Exit with 1 if the mean return is lower than VALUE.")] = None,
-    csv: Annotated[Path | None, option("--csv FILE", "Write a CSV file with a line for each episode.")] = None,
-    junit: Annotated[Path | None, option("--junit FILE", "Write the requirements as JUnit XML, a test case for each.")] = None,
+    min_return: Annotated[
+        float | None, option("--min-return VALUE", "Exit with 1 if the mean return is lower than VALUE.", _REQUIREMENTS)
+    ] = None,
+    seed: Annotated[
+        int | None,
+        integer("--seed N", "Root seed of the starts; by default the seed of the training, and 0 for a group.", 0, MAX_SEED, ADVANCED),
+    ] = None,
+    last: Annotated[bool, option("--last", "Evaluate the last model instead of the best one.", ADVANCED)] = False,
+    stage: Annotated[str | None, option("--stage NAME", "Evaluate in this stage of the curriculum only.", ADVANCED)] = None,
+    stochastic: Annotated[
+        bool, option("--stochastic", "Sample the actions of the policy; by default it takes its likeliest action.", ADVANCED)
+    ] = False,
+    csv: Annotated[Path | None, option("--csv FILE", "Write a CSV file with a line for each episode.", ADVANCED)] = None,
+    junit: Annotated[Path | None, option("--junit FILE", "Write the requirements as JUnit XML, a test case for each.", ADVANCED)] = None,
     force: Force = False,
-    as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
     """Evaluate the policy of a run on held-out episodes.
@@ -138,10 +129,6 @@ def command(
     remaining episodes cannot change this, or a 95 % confidence sequence excludes the required value. The evaluation of a group stops
     early only for --min-success, and only if the remaining episodes of all seeds cannot change this.
 
-    --robustness changes one condition at a time by several amounts. It shows the level at which the result falls below a bar.
-    The bar is --min-success or --min-return. If neither is given, it is `solved` of the scenario. If the scenario has no `solved`, it is
-    80 % of the result without a change.
-
     --set overrides values of the scenario of the run, or of the scenario that --scenario names. This scenario must have the
     observation, action and messages of the training; its world may differ. --engine runs the episodes in another engine. With several
     engines, such as --engine mujoco,pybullet, every engine runs episodes from the same starts. The table shows the difference of each
@@ -149,7 +136,7 @@ def command(
     apply to every engine.
 
     --episodes failed runs the failed episodes of the last kept evaluation again, and counts their endings. For the first 10, it prints the
-    ending and its margin; with --video FILE.mp4, it also films these 10: FILE-K.mp4 shows episode K. If an ending compares a value with a
+    ending and its margin. If an ending compares a value with a
     limit, the margin is how far the value is past the limit. After a time limit, it prints how near the episode came to a success.
 
     \b
@@ -158,8 +145,6 @@ def command(
       deepbots eval runs/cartpole-0-1 --episodes failed
       deepbots eval runs/cartpole-0-1 --baselines
       deepbots eval runs/cartpole-seeds-1 --csv episodes.csv
-      deepbots eval runs/cartpole-0-1 --robustness --episodes 20 --mass-of cart.pole
-      deepbots eval runs/cartpole-0-1 --video cartpole.mp4
       deepbots eval runs/cartpole-0-1 --scenario longer_pole.yaml --episodes 20
       deepbots eval runs/cartpole-0-1 --set fall_angle=10deg
       deepbots eval runs/cartpole-0-1 --engine mujoco
@@ -167,20 +152,18 @@ def command(
       deepbots eval runs/find_ball_random-0-1 --case many --details
       deepbots eval runs/find_ball-0-1 --min-success 90% --junit gate.xml
 
-    Next: `deepbots compare RUN RUN` compares policies on the same starts, `deepbots runs RUN` lists its evaluations, and
+    Next: `deepbots render RUN -o video.mp4` makes a video of episode 0, `deepbots diagnose RUN` says why a policy is not better, and
     `deepbots train --resume RUN --timesteps N` continues the training.
     """
     given = {name.replace("_", "-"): value for name, value in locals().items() if value is not None and value is not False}
-    single = ("video", "robustness", "baselines", "details")
+    single = ("baselines", "details")
     if episodes == FAILED_EPISODES:
-        others = [name for name in given if name not in ("run", "episodes", "video", "force", "as-json", "permissions")]
+        others = [name for name in given if name not in ("run", "episodes", "force", "as-json", "permissions")]
         _refuse("does not go with --episodes failed, which repeats the last evaluation as it was", given, others)
-        repeat_failed(Run.open(run), video, force=force, as_json=as_json, permissions=permissions)
+        repeat_failed(Run.open(run), as_json=as_json, permissions=permissions)
         return
     gates = Gates(min_success, min_return, require_solved)
-    if mass_of is not None and not robustness:
-        raise UsageError("--mass-of belongs to --robustness; add it")
-    _check_files(csv, junit, video, gates, force=force)
+    _check_files(csv, junit, gates, force=force)
     source = Source.open(run, permissions, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.GROUP)
     if source.model is not None:
         _refuse(f"chooses a model, and {run} is one", given, ("last",))
@@ -198,11 +181,6 @@ def command(
         _evaluate_group(run, scenarios, gates, csv=csv, junit=junit, as_json=as_json, **chosen)
         return
     known = Run.open(source.path)
-    if robustness:
-        _refuse("does not go with --robustness", given, ("video", "csv", "junit", "baselines", "details", "require-solved"))
-        chosen |= {"scenario": scenario, "overrides": with_engine(overrides, several[0])}
-        _robustness(known, gates, as_json=as_json, case=case, stage=stage, seed=seed, mass_of=mass_of, **chosen)
-        return
     chosen |= {"seed": seed}
     with terminal.transient_line("loading the policy ..."):
         evaluate = learning.evaluate  # which imports torch
@@ -214,11 +192,9 @@ def command(
         gates.check(program)
         usual = program.evaluation.episodes if case is None else program.case(case).episodes
         until = gates.stop_condition(program.variant(case, stage), episodes or usual) if len(several) == 1 else None
-        if video is not None and not as_json:
-            terminal.note(f"{video} will show episode 0, which is drawn after the evaluation")
         with terminal.progress("episodes" if name is None else f"episodes in {name}", always=False) as show_episode:
             options = chosen | {"scenario": compiled, "engine": name, "on_episode": show_episode}
-            result = evaluate(known, case=case, stage=stage, video_to=video, force=force, until=until, **options)
+            result = evaluate(known, case=case, stage=stage, until=until, **options)
             alone = case is not None or stage is not None
             cases = () if alone else learning.evaluate_cases(known, stages=details, **options)
             scripted: Sequence[EvaluationResult] = ()
@@ -300,9 +276,9 @@ def evaluation_scenario(
     return compiled
 
 
-def _check_files(csv: Path | None, junit: Path | None, video: Path | None, gates: Gates, *, force: bool) -> None:
+def _check_files(csv: Path | None, junit: Path | None, gates: Gates, *, force: bool) -> None:
     """Find out before a long evaluation whether its files can be written, and have a content."""
-    check_output(*filter(None, (csv, junit, video)), force=force)
+    check_output(*filter(None, (csv, junit)), force=force)
     if junit is not None and gates == Gates(None, None, False):
         raise UsageError("--junit writes requirements, and there is none; add --min-success, --min-return or --require-solved")
 
@@ -429,16 +405,6 @@ def _evaluate_group(
         terminal.print_result("differences of each run on the same starts, with 95 % intervals over the seeds")
         terminal.print_result(records.engines_table(pairs))
     _require(requirements, [result for found in groups for result in found.evaluations], junit)
-
-
-def _robustness(known: Run, gates: Gates, *, as_json: bool, **options: Any) -> None:
-    gates.check(known.program)
-    with terminal.transient_line("loading the policy ..."):
-        from deepbots_cli.learning.robustness import evaluate_robustness  # which imports torch
-    bars: dict[str, Any] = {"min_success": gates.min_success, "min_return": gates.min_return}
-    with terminal.progress("evaluations") as show_level:
-        found = evaluate_robustness(known, on_level=show_level, **bars, **options)
-    terminal.show(records.robustness_json(found), records.robustness_text(found), as_json=as_json)
 
 
 def scenario_label(run: Run, scenario: str | None, overrides: Sequence[str], compiled: Compiled | None) -> str | None:

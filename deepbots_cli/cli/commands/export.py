@@ -11,7 +11,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowPaths, Force, Json, Overrides, option
+from deepbots_cli.cli.command import ADVANCED, AllowPaths, Force, Json, Overrides, option
 from deepbots_cli.cli.commands.new import write_new
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.document import Permissions
@@ -30,7 +30,7 @@ def command(
     to: Annotated[Target, option("--to", "Format of the policy.")] = Target.onnx,
     out: Annotated[Path | None, option("--output -o FOLDER", "Folder to write; by default RUN-onnx.")] = None,
     force: Force = False,
-    last: Annotated[bool, option("--last", "Export the last model instead of the best one.")] = False,
+    last: Annotated[bool, option("--last", "Export the last model instead of the best one.", ADVANCED)] = False,
     check: Annotated[str | None, option("--check SCENARIO", "Compare a bundle with a scenario, item by item; write nothing.")] = None,
     overrides: Overrides = None,
     as_json: Json = False,

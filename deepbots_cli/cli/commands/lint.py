@@ -15,7 +15,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import Overrides, integer, option
+from deepbots_cli.cli.command import ADVANCED, OUTPUT, Overrides, integer, option
 from deepbots_cli.cli.commands import rewriting
 from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
 from deepbots_cli.compiler import CheckedScenario
@@ -50,6 +50,7 @@ class FailOn(StrEnum):
 _FAILING_SEVERITIES: dict[str, tuple[Severity, ...]] = {"error": ("error",), "warning": ("error", "warning"), "never": ()}
 
 Codes = list[str] | None
+_RULES = "Rules"
 
 
 def lint(
@@ -60,30 +61,35 @@ def lint(
         ),
     ] = None,
     overrides: Overrides = None,
-    format: Annotated[Format | None, option("--format", "Output format; full by default, with the source lines.")] = None,
-    as_json: Annotated[bool, option("--json", "Same as --format json.")] = False,
+    format: Annotated[Format | None, option("--format", "Output format; full by default, with the source lines.", OUTPUT)] = None,
+    as_json: Annotated[bool, option("--json", "Same as --format json.", OUTPUT)] = False,
     select: Annotated[
-        Codes, option("--select CODES", "Report only these findings: codes, prefixes of codes, or names, separated by commas.")
+        Codes, option("--select CODES", "Report only these findings: codes, prefixes of codes, or names, separated by commas.", _RULES)
     ] = None,
     ignore: Annotated[
         Codes,
         option(
-            "--ignore CODES", "Do not report these findings. If --select also matches a finding, the longer of the two prefixes decides."
+            "--ignore CODES",
+            "Do not report these findings. If --select also matches a finding, the longer of the two prefixes decides.",
+            _RULES,
         ),
     ] = None,
-    fail_on: Annotated[FailOn | None, option("--fail-on", "Lowest severity for which the exit code is 1; error by default.")] = None,
-    exit_zero: Annotated[bool, option("--exit-zero", "Same as --fail-on never.")] = False,
+    fail_on: Annotated[
+        FailOn | None, option("--fail-on", "Lowest severity for which the exit code is 1; error by default.", OUTPUT)
+    ] = None,
+    exit_zero: Annotated[bool, option("--exit-zero", "Same as --fail-on never.", OUTPUT)] = False,
     preview: Annotated[
-        bool | None, option("--preview/--no-preview", "Also run the rules in preview, which can report false findings; off by default.")
+        bool | None,
+        option("--preview/--no-preview", "Also run the rules in preview, which can report false findings; off by default.", _RULES),
     ] = None,
     deep: Annotated[bool, option("--deep", "Also simulate each scenario that has no errors for a short time.")] = False,
     fix: Annotated[bool, option("--fix", "Apply the safe fixes to the files.")] = False,
     unsafe_fixes: Annotated[
-        bool, option("--unsafe-fixes", "Also apply the unsafe fixes, which are guesses; with --fix or --diff.")
+        bool, option("--unsafe-fixes", "Also apply the unsafe fixes, which are guesses; with --fix or --diff.", ADVANCED)
     ] = False,
     diff: Annotated[bool, option("--diff", "Show the changes of --fix, and write nothing.")] = False,
-    stdin_name: Annotated[str | None, option("--stdin-filename FILE", "File name for standard input.")] = None,
-    jobs: Annotated[int, integer("--jobs -j N", "Number of processes; useful for tens of files or more.")] = 1,
+    stdin_name: Annotated[str | None, option("--stdin-filename FILE", "File name for standard input.", ADVANCED)] = None,
+    jobs: Annotated[int, integer("--jobs -j N", "Number of processes; useful for tens of files or more.", group=ADVANCED)] = 1,
     permissions: Permissions = Permissions(),
 ) -> None:
     """Check scenarios and report every problem.
@@ -364,7 +370,7 @@ def _page(code: str) -> tuple[str, str]:
 
 def lsp(
     port: Annotated[
-        int | None, option("--tcp PORT", "Listen on this port; by default, use standard input and output.", min=1, max=65535)
+        int | None, option("--tcp PORT", "Listen on this port; by default, use standard input and output.", ADVANCED, min=1, max=65535)
     ] = None,
     permissions: Permissions = Permissions(),
 ) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepbots_cli.cli import records, sources, terminal
-from deepbots_cli.cli.command import Json, Overrides, option
+from deepbots_cli.cli.command import SCENARIO, Json, Overrides, option
 from deepbots_cli.cli.commands.diff import Change, Effect
 from deepbots_cli.cli.commands.diff import scenario_changes as changes_of_meaning
 from deepbots_cli.cli.exits import FAILED
@@ -25,12 +25,14 @@ if TYPE_CHECKING:
 
 
 def command(
-    recording: Annotated[str, typer.Argument(metavar="RECORDING", help="A file that `deepbots record` wrote.")],
+    recording: Annotated[str, typer.Argument(metavar="RECORDING", help="A recording (.mcap) of `deepbots render`.")],
     to_verify: Annotated[bool, option("--verify", "Run the episodes again, and compare every step bit for bit.")] = False,
     tolerance: Annotated[
         float, option("--tolerance X", "With --verify, allow differences up to X (relative for numbers above 1).", min=0.0, max=1.0)
     ] = 0.0,
-    scenario: Annotated[str | None, option("--scenario SCENARIO", "With --verify, run the episodes in this scenario instead.")] = None,
+    scenario: Annotated[
+        str | None, option("--scenario SCENARIO", "With --verify, run the episodes in this scenario instead.", SCENARIO)
+    ] = None,
     overrides: Overrides = None,
     as_json: Json = False,
     permissions: Permissions = Permissions(),

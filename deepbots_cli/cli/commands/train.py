@@ -17,7 +17,7 @@ import typer
 
 from deepbots_cli import api, learning
 from deepbots_cli.cli import records, terminal
-from deepbots_cli.cli.command import MAX_SEED, Engine, Json, Overrides, integer, option, seed_list
+from deepbots_cli.cli.command import ADVANCED, MAX_SEED, OUTPUT, Engine, Json, Overrides, integer, option, seed_list
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
@@ -50,29 +50,32 @@ def command(
     run: Annotated[Path | None, option("--run DIR", "Directory to create for the run or group; by default a new one in ./runs.")] = None,
     resume: Annotated[Path | None, option("--resume RUN", "Continue the training of this run or group.")] = None,
     full: Annotated[bool, option("--full --no-stop", "Train for all timesteps, even if the task is solved earlier.")] = False,
-    stage: Annotated[str | None, option("--stage NAME", "Begin with this stage of the curriculum; by default with the first.")] = None,
+    stage: Annotated[
+        str | None, option("--stage NAME", "Begin with this stage of the curriculum; by default with the first.", ADVANCED)
+    ] = None,
     keep_checkpoints: Annotated[
-        int | None, integer("--keep-checkpoints N", "Keep N models, saved at equal intervals; 0 by default.", 0, 10_000)
+        int | None, integer("--keep-checkpoints N", "Keep N models, saved at equal intervals; 0 by default.", 0, 10_000, group=ADVANCED)
     ] = None,
     initialize_from: Annotated[
-        Path | None, option("--initialize-from RUN", "Begin with the weights of the best policy of this run.")
+        Path | None, option("--initialize-from RUN", "Begin with the weights of the best policy of this run.", ADVANCED)
     ] = None,
     callbacks: Annotated[
         list[str] | None,
         option(
             "--callback NAME",
             "Call this callback of an installed package during the training; may be repeated. With --resume, `none` drops all.",
+            ADVANCED,
         ),
     ] = None,
     loggers: Annotated[
         list[str] | None,
-        option("--logger NAME", "Write the scalars with this logger too: csv, or one of an installed package; may be repeated."),
+        option("--logger NAME", "Write the scalars with this logger too: csv, or one of an installed package; may be repeated.", ADVANCED),
     ] = None,
     engine: Engine = None,
     to_view: Annotated[
-        bool, option("--view", "Show the newest policy in the browser while it is trained, as `deepbots view RUN` does.")
+        bool, option("--view", "Show the newest policy in the browser while it is trained, as `deepbots view RUN` does.", OUTPUT)
     ] = False,
-    quiet: Annotated[bool, option("--quiet -q", "Print no progress.")] = False,
+    quiet: Annotated[bool, option("--quiet -q", "Print no progress.", OUTPUT)] = False,
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
@@ -102,7 +105,7 @@ def command(
 
     --seeds trains a group: one folder with a run for each seed, one after the other. --resume of a group skips finished seeds.
 
-    Next: `deepbots eval RUN --video film.mp4` records an episode of the policy.
+    Next: `deepbots view RUN` shows the policy, and `deepbots render RUN -o video.mp4` makes a video of it.
     """
     progress = not quiet
     if resume is not None:
@@ -276,7 +279,7 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: 
     solved = run_verdict(trained.path, trained.record).solved
     run, film, logs = (quote(str(path)) for path in (result.run, f"{result.run.name}.mp4", result.run / "tensorboard"))
     longer = f"--timesteps {report.longer_goal(max(result.steps, result.total_timesteps)):_}"
-    further = [f"deepbots eval {run} --video {film}", f"deepbots train --resume {run} {longer}", f"tensorboard --logdir {logs}"]
+    further = [f"deepbots render {run} -o {film}", f"deepbots train --resume {run} {longer}", f"tensorboard --logdir {logs}"]
     if solved:
         further = [f"deepbots {command} {run}" for command in ("view", "report", "export")]
     elif solved is False:

@@ -1,20 +1,20 @@
-"""What people see of a world: `view` and `play` serve a page in the browser, `picture` and `clip` write files."""
+"""What people see of a world: `view` and `play` serve a page in the browser."""
 
 from __future__ import annotations
 
 import sys
 import webbrowser
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import (
+    ADVANCED,
+    EPISODES,
+    SCENARIO,
     Case,
-    Driver,
-    Force,
     Overrides,
     Seed,
     Stage,
@@ -26,32 +26,9 @@ from deepbots_cli.cli.command import (
 )
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import atomic_write
 
 if TYPE_CHECKING:
     from deepbots_cli.view.episodes import Showing
-
-MAX_SIDE = 4096
-
-
-def size(text: str) -> tuple[int, int]:
-    """A parser of `640x480`, the width and height of a picture in pixels."""
-    wide, _, tall = text.lower().partition("x")
-    if not (wide.isdecimal() and tall.isdecimal() and 16 <= int(wide) <= MAX_SIDE and 16 <= int(tall) <= MAX_SIDE):
-        raise typer.BadParameter(f"'{text}' is not a size; write width x height in pixels, such as 640x480, from 16 to {MAX_SIDE}")
-    return int(wide), int(tall)
-
-
-def point(text: str) -> tuple[float, float, float]:
-    """A parser of `x,y,z` in m, world frame."""
-    try:
-        x, y, z = (float(part) for part in text.split(","))
-    except ValueError:
-        raise typer.BadParameter(f"'{text}' is not a point; write x,y,z in m, such as 1,-0.5,0.8") from None
-    if not all(abs(part) < 1e6 for part in (x, y, z)):
-        raise typer.BadParameter(f"'{text}' is farther than 1000 km away, or no number")
-    return x, y, z
-
 
 Shown = Annotated[
     str,
@@ -63,21 +40,20 @@ ScenarioOrRun = Annotated[
     str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario file, the name of a shipped scenario, or a run directory.")
 ]
 EngineOrRun = Annotated[
-    str | None, option("--engine NAME", "Physics engine; by default that of the run or the scenario, else pybullet.", callback=known_engine)
+    str | None,
+    option("--engine NAME", "Physics engine; by default that of the run or scenario, else pybullet.", SCENARIO, callback=known_engine),
 ]
 Host = Annotated[
     str,
     option(
-        "--host ADDRESS", "Address to serve on. If other machines can reach it (0.0.0.0), the printed address of the page contains a token."
+        "--host ADDRESS",
+        "Address to serve on. If other machines can reach it (0.0.0.0), the printed address of the page contains a token.",
+        ADVANCED,
     ),
 ]
-Port = Annotated[int | None, integer("--port N", "Port of the page; by default the first free port from 8787.", 0, 65535)]
+Port = Annotated[int | None, integer("--port N", "Port of the page; by default the first free port from 8787.", 0, 65535, group=ADVANCED)]
 Open = Annotated[bool, option("--open", "Open the page in the browser.")]
-Episode = Annotated[int, integer("--episode K", "Begin with the start of held-out episode K of `deepbots eval`.", 0)]
-# Any: typer would parse each part of a tuple alone.
-Size = Annotated[Any, option("--size WxH", "Width and height in pixels.", parser=size)]
-From = Annotated[Any, option("--from X,Y,Z", "Position of the camera in m; by default it sees the whole scene.", parser=point)]
-At = Annotated[Any, option("--at X,Y,Z", "Point in m that the camera looks at.", parser=point)]
+Episode = Annotated[int, integer("--episode K", "Begin with the start of held-out episode K of `deepbots eval`.", 0, group=EPISODES)]
 
 
 def view(
@@ -94,9 +70,13 @@ def view(
     start: Start = None,
     watch: Annotated[bool, option("--watch", "Restart with the new files when a file is saved.")] = False,
     compare: Annotated[str | None, option("--compare OTHER", "Show another run or scenario beside it, from the same seeds.")] = None,
-    worlds: Annotated[int | None, integer("--worlds N", "Step a batch of N worlds in MuJoCo, and show one of them.", 1, 4096)] = None,
-    world: Annotated[int, integer("--world K", "The world to show first, with --worlds.", 0)] = 0,
-    frame_rate: Annotated[int, integer("--fps N", "Pictures per second. A browser without a graphics card needs fewer.", 1, 60)] = 30,
+    worlds: Annotated[
+        int | None, integer("--worlds N", "Step a batch of N worlds in MuJoCo, and show one of them.", 1, 4096, group=ADVANCED)
+    ] = None,
+    world: Annotated[int, integer("--world K", "The world to show first, with --worlds.", 0, group=ADVANCED)] = 0,
+    frame_rate: Annotated[
+        int, integer("--fps N", "Pictures per second. A browser without a graphics card needs fewer.", 1, 60, group=ADVANCED)
+    ] = 30,
     overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
@@ -186,101 +166,3 @@ def _serve(source: Showing, open_: bool, **options: Any) -> None:
         page.run()
     finally:
         page.close()
-
-
-def picture(
-    shown: Shown,
-    out: Annotated[Path, option("--output -o PNG", "File to write.")] = Path("picture.png"),
-    force: Force = False,
-    size: Size = "640x480",
-    eye: From = None,
-    target: At = None,
-    labels: Annotated[bool, option("--labels", "Name the links and joints of the first robot.")] = False,
-    rays: Annotated[bool, option("--rays", "Draw the rays of sensors.")] = False,
-    path: Annotated[bool, option("--path", "Run the episode, and draw the paths of what moves in it.")] = False,
-    steps: Annotated[int, integer("--steps N", "Run this number of steps first.", 0)] = 0,
-    driver: Driver = None,
-    seed: Seed = 0,
-    episode: Episode = 0,
-    start: Start = None,
-    overrides: Overrides = None,
-    case: Case = None,
-    stage: Stage = None,
-    engine: EngineOrRun = None,
-    permissions: Permissions = Permissions(),
-) -> None:
-    """Draw a picture of a scenario.
-
-    It shows the beginning of an episode, or the world after some steps.
-
-    With --path, it shows the end of an episode, and the paths of the robots and of the objects that the task moves. For a
-    robot with a fixed base, it shows the link that the task is about. The view is from above, or from the side where a path climbs.
-
-    \b
-      deepbots picture find_ball
-      deepbots picture quadruped --labels --size 960x640 --output links.png
-      deepbots picture find_ball --from 0,-1.5,1 --at 0,0,0 --rays
-      deepbots picture find_ball --path --driver around
-      deepbots picture runs/find_ball-0-1 --path --episode 3
-
-    Next: `deepbots clip SCENARIO` writes a video.
-    """
-    from deepbots_cli.view import pictures
-    from deepbots_cli.view.episodes import Showing, closing_player
-
-    pictures.check_target(out, (".png",), force=force)
-    source = Showing(shown, overrides or (), permissions, engine, case, stage, start=start_values(start))
-    shot = pictures.Viewpoint(size[0], size[1], eye, target)
-    with closing_player(source, driver) as world:
-        trace = list(world.episode(seed, episode, None if path and not steps else steps))
-        image = pictures.render_picture(world, shot, labels=labels, rays=rays, path=trace if path else ())
-    with atomic_write(out) as draft:
-        image.save(draft, "PNG")
-    terminal.print_result(str(out))
-
-
-def clip(
-    shown: Shown,
-    out: Annotated[
-        Path, option("--output -o FILE", "File to write: .mp4, .gif, or .html for an interactive page that needs no server.")
-    ] = Path("clip.mp4"),
-    force: Force = False,
-    driver: Driver = None,
-    seconds: Annotated[float | None, option("--seconds S", "Simulated seconds; by default the whole episode.", min=0.01, max=3600)] = None,
-    speed: Annotated[float, option("--speed X", "Playback speed: simulated seconds per second of video.", min=0.01, max=100)] = 1.0,
-    size: Size = "480x320",
-    eye: From = None,
-    target: At = None,
-    seed: Seed = 0,
-    episode: Episode = 0,
-    overrides: Overrides = None,
-    case: Case = None,
-    stage: Stage = None,
-    engine: EngineOrRun = None,
-    permissions: Permissions = Permissions(),
-) -> None:
-    """Make a video of an episode: MP4, GIF or an offline page.
-
-    In a run, the policy acts. In a scenario, the first script acts; without a script, actions are random.
-
-    \b
-      deepbots clip find_ball --driver around --output find_ball.gif
-      deepbots clip runs/cartpole-0-1 --episode 3 --output cartpole.mp4
-      deepbots clip quadruped --output quadruped.html --seconds 10
-
-    Next: `deepbots view SCENARIO` shows it live.
-    """
-    from deepbots_cli.view import pictures
-    from deepbots_cli.view.episodes import Showing, closing_player
-
-    pictures.check_target(out, pictures.SUFFIXES, force=force)
-    source = Showing(shown, overrides or (), permissions, engine, case, stage)
-    with closing_player(source, driver) as world, terminal.transient_line("running the episode ..."):
-        frame = pictures.write_clip(
-            world, out, pictures.Viewpoint(size[0], size[1], eye, target), seed=seed, episode=episode, seconds=seconds, speed=speed
-        )
-    agent = next(iter(frame.agents.values()))
-    state = frame.ending or "not ended"
-    terminal.print_result(
-        f"{out} ({out.stat().st_size / 1000:,.0f} kB; {state} after {frame.time:.2f} s, return {agent.episode_return:.2f})"
-    )

@@ -1,0 +1,309 @@
+"""`deepbots render`: a picture, a video, an offline page or a recording; the suffix of the file says which."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deepbots_cli.cli import records, terminal
+from deepbots_cli.cli.command import (
+    ADVANCED,
+    EPISODES,
+    MAX_SEED,
+    Case,
+    Driver,
+    Force,
+    Json,
+    Overrides,
+    Stage,
+    Start,
+    integer,
+    option,
+    start_values,
+)
+from deepbots_cli.cli.commands.diagnose import FAILED_EPISODES, episodes_or_failed, last_evaluation
+from deepbots_cli.cli.commands.view import EngineOrRun, Shown
+from deepbots_cli.cli.sources import is_robot, open_robot
+from deepbots_cli.cli.tables import Row
+from deepbots_cli.document import Permissions
+from deepbots_cli.engine_kinds import chosen as engine_or_default
+from deepbots_cli.errors import UsageError
+from deepbots_cli.files import atomic_write
+from deepbots_cli.footprint import resting_height, robot_bounds
+from deepbots_cli.frames import add
+from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.program.world import RobotBody, WorldModel
+from deepbots_cli.robots.model import Pose
+from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
+
+if TYPE_CHECKING:
+    from deepbots_cli.view.episodes import Player
+    from deepbots_cli.view.frames import WorldFrame
+    from deepbots_cli.view.pictures import Viewpoint
+
+PICTURE, PAGE = ".png", ".html"
+VIDEOS = (".mp4", ".gif")
+SUFFIXES = (PICTURE, *VIDEOS, PAGE, RECORDING_SUFFIX)
+_DRAWN = (PICTURE, *VIDEOS)
+_SUFFIXES_OF: Mapping[str, Sequence[str]] = {
+    "--labels": (PICTURE,),
+    "--rays": (PICTURE,),
+    "--path": (PICTURE,),
+    "--steps": (PICTURE, RECORDING_SUFFIX),
+    "--seconds": (*VIDEOS, PAGE),
+    "--speed": (*VIDEOS, PAGE),
+    "--size": _DRAWN,
+    "--from": _DRAWN,
+    "--at": _DRAWN,
+    "--episodes": (*VIDEOS, PAGE, RECORDING_SUFFIX),
+    "--start": (*_DRAWN, PAGE),
+}
+"""The files that an option is for; the others are for all."""
+MAX_SIDE = 4096
+MAX_FILMS = 10
+"""Failed episodes of which a film is made."""
+_CAMERA = "Camera (.png, .mp4, .gif)"
+_PICTURE_ONLY = "Picture (.png)"
+_VIDEO_ONLY = "Video (.mp4, .gif, .html)"
+
+
+def size(text: str) -> tuple[int, int]:
+    """A parser of `640x480`, the width and height of a picture in pixels."""
+    wide, _, tall = text.lower().partition("x")
+    if not (wide.isdecimal() and tall.isdecimal() and 16 <= int(wide) <= MAX_SIDE and 16 <= int(tall) <= MAX_SIDE):
+        raise typer.BadParameter(f"'{text}' is not a size; write width x height in pixels, such as 640x480, from 16 to {MAX_SIDE}")
+    return int(wide), int(tall)
+
+
+def point(text: str) -> tuple[float, float, float]:
+    """A parser of `x,y,z` in m, world frame."""
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not a point; write x,y,z in m, such as 1,-0.5,0.8") from None
+    if not all(abs(part) < 1e6 for part in (x, y, z)):
+        raise typer.BadParameter(f"'{text}' is farther than 1000 km away, or no number")
+    return x, y, z
+
+
+def command(
+    shown: Shown,
+    output: Annotated[
+        Path | None, option("--output -o FILE", "File to write: .png, .mp4, .gif, .html or .mcap; by default NAME.png.")
+    ] = None,
+    driver: Driver = None,
+    seed: Annotated[
+        int | None, integer("--seed N", "Root seed of the starts; by default that of the run, and 0 for a scenario.", 0, MAX_SEED, EPISODES)
+    ] = None,
+    episode: Annotated[int | None, integer("--episode K", "Held-out episode of `deepbots eval`; 0 by default.", 0, None, EPISODES)] = None,
+    episodes: Annotated[
+        Any,
+        option(
+            "--episodes N|failed",
+            "With .mcap, record N episodes from --episode on. `failed`: the episodes of the last evaluation of a run that failed; a video"
+            " for each of the first 10, FILE-K.mp4 for episode K.",
+            EPISODES,
+            parser=episodes_or_failed,
+        ),
+    ] = None,
+    steps: Annotated[
+        int | None,
+        integer("--steps N", "Steps: with .png, before the picture is taken; with .mcap, the most of an episode.", 1, None, EPISODES),
+    ] = None,
+    labels: Annotated[bool, option("--labels", "Name the links and joints of the first robot.", _PICTURE_ONLY)] = False,
+    rays: Annotated[bool, option("--rays", "Draw the rays of sensors.", _PICTURE_ONLY)] = False,
+    path: Annotated[bool, option("--path", "Run the episode, and draw the paths of what moves in it.", _PICTURE_ONLY)] = False,
+    seconds: Annotated[
+        float | None, option("--seconds S", "Simulated seconds; by default the whole episode.", _VIDEO_ONLY, min=0.01, max=3600)
+    ] = None,
+    speed: Annotated[
+        float | None,
+        option("--speed X", "Playback speed: simulated seconds per second of video; 1 by default.", _VIDEO_ONLY, min=0.01, max=100),
+    ] = None,
+    # Any: typer would parse each part of a tuple alone.
+    size: Annotated[
+        Any, option("--size WxH", "Width and height in pixels; by default 640x480, and 480x320 for a video.", _CAMERA, parser=size)
+    ] = None,
+    eye: Annotated[Any, option("--from X,Y,Z", "Camera position in m; by default it sees the whole scene.", _CAMERA, parser=point)] = None,
+    target: Annotated[Any, option("--at X,Y,Z", "Point in m that the camera looks at.", _CAMERA, parser=point)] = None,
+    overrides: Overrides = None,
+    case: Case = None,
+    stage: Stage = None,
+    start: Start = None,
+    engine: EngineOrRun = None,
+    as_json: Json = False,
+    last: Annotated[bool, option("--last", "Let the last model of a run act instead of the best one.", ADVANCED)] = False,
+    force: Force = False,
+    permissions: Permissions = Permissions(),
+) -> None:
+    """Make a picture, a video, an offline page or a recording.
+
+    The suffix of the file says what is made:
+
+    \b
+      .png        a picture of the start of an episode, or of a robot file
+      .mp4, .gif  a video of an episode
+      .html       an interactive page of an episode, which needs no server
+      .mcap       a recording of episodes, for `view`, `replay`, `diagnose` and Foxglove
+
+    \b
+      deepbots render cartpole
+      deepbots render runs/cartpole-0-1 -o cartpole.mp4
+      deepbots render runs/cartpole-0-1 -o failed.mp4 --episodes failed
+      deepbots render find_ball --driver around -o find_ball.gif
+      deepbots render find_ball --path --driver around -o path.png
+      deepbots render find_ball --from 0,-1.5,1 --at 0,0,0 --rays
+      deepbots render quadruped --labels --size 960x640 -o links.png
+      deepbots render quadruped --seconds 10 -o quadruped.html
+      deepbots render runs/find_ball-0-1 --episodes 5 -o five.mcap
+      deepbots render package://pybullet_data/husky/husky.urdf -o husky.png
+
+    --path draws the end of an episode, and the paths of the robots and of the objects that the task moves. For a robot with a fixed
+    base, it draws the path of the link that the task is about. The camera is above, or at the side of a path that climbs.
+
+    A recording holds for every step the poses, sensor readings, messages, actions, observations and reward terms, and the scenario.
+    `render` takes a recording in place of a scenario.
+
+    Next: `deepbots view SCENARIO` shows it live.
+    """
+    file = output or Path(f"{Path(shown).stem}{PICTURE}")
+    given: dict[str, Any] = {"--labels": labels, "--rays": rays, "--path": path, "--steps": steps, "--seconds": seconds, "--speed": speed}
+    given |= {"--size": size, "--from": eye, "--at": target, "--episodes": episodes, "--start": start}
+    kind = _checked_kind(file, [name for name, value in given.items() if value])
+    from deepbots_cli.view import pictures
+
+    width, height = size or ((640, 480) if kind == PICTURE else (480, 320))
+    shot = pictures.Viewpoint(width, height, eye, target)
+    if is_robot(shown):
+        of_episodes = [value for name, value in given.items() if name not in ("--size", "--from", "--at")]
+        if kind != PICTURE or any((*of_episodes, driver, seed, episode, overrides, case, stage)):
+            raise UsageError(f"{shown} is a robot file, of which there is a picture (.png) by --size, --from and --at")
+        pictures.check_target(file, SUFFIXES, force=force)
+        _draw_robot(shown, file, shot, engine_or_default(engine))
+        terminal.show({"files": [_made(file)]}, str(file), as_json=as_json)
+        return
+    opened = Source.open(shown, permissions, SourceKind.SCENARIO, SourceKind.RUN, SourceKind.RECORDING)
+    if kind == RECORDING_SUFFIX and opened.kind is SourceKind.RECORDING:
+        raise UsageError(f"{shown} is already a recording; `deepbots render {shown} -o video.mp4` makes a video of it")
+    run = Run.open(opened) if opened.kind is SourceKind.RUN else None
+    if episodes == FAILED_EPISODES:
+        if run is None or last or any(value is not None for value in (seed, episode, driver)):
+            raise UsageError("--episodes failed repeats an evaluation of a run; leave out --seed, --episode, --driver and --last")
+        wanted = _Episodes.failed(run, None if kind == RECORDING_SUFFIX else MAX_FILMS)
+    else:
+        first = episode or 0
+        root = seed if seed is not None else run.record.seed if run is not None else 0
+        wanted = _Episodes(root, range(first, first + (episodes or 1)), "last" if last else "best")
+    files = [file]
+    if episodes == FAILED_EPISODES and kind != RECORDING_SUFFIX:
+        files = [file.with_name(f"{file.stem}-{number}{file.suffix}") for number in wanted.numbers]
+    for made in files:
+        pictures.check_target(made, SUFFIXES, force=force)
+    from deepbots_cli.view.episodes import Showing, closing_player
+
+    acts: dict[str, Any] = {"model": wanted.model, "deterministic": wanted.deterministic}
+    source = Showing(shown, overrides or (), permissions, engine, case, stage, start=start_values(start), **acts)
+    with closing_player(source, driver) as world:
+        if kind == RECORDING_SUFFIX:
+            ends = _record(world, file, wanted, steps)
+        elif kind == PICTURE:
+            trace = list(world.episode(wanted.seed, wanted.numbers[0], None if path and not steps else steps or 0))
+            image = pictures.render_picture(world, shot, labels=labels, rays=rays, path=trace if path else ())
+            with atomic_write(file) as draft:
+                image.save(draft, "PNG")
+            ends = [trace[-1]]
+        else:
+            play = partial(pictures.write_clip, seed=wanted.seed, seconds=seconds, speed=speed or 1.0)
+            with terminal.transient_line("running the episode ..."):
+                ends = [play(world, made, shot, episode=number) for number, made in zip(wanted.numbers, files, strict=True)]
+    rows = records.recorded_rows(zip(wanted.numbers, ends, strict=True))
+    per_file = [rows] if len(files) == 1 else [[row] for row in rows]
+    data = {"files": [{**_made(made), "episodes": listed} for made, listed in zip(files, per_file, strict=True)]}
+    further = [f"deepbots view {quote(str(file))}", f"deepbots replay --verify {quote(str(file))}"] if kind == RECORDING_SUFFIX else []
+    terminal.show(data, *_lines(kind, files, rows), as_json=as_json, next_commands=further)
+
+
+@dataclass(frozen=True)
+class _Episodes:
+    """Held-out episodes from a root seed, and how the policy of a run acts in them."""
+
+    seed: int
+    numbers: Sequence[int]
+    model: ModelName = "best"
+    deterministic: bool = True
+
+    @staticmethod
+    def failed(run: Run, maximum: int | None) -> _Episodes:
+        """The first failed episodes of the last evaluation of a run.
+
+        Raises:
+            UsageError: There is none.
+        """
+        _, kept = last_evaluation(run)
+        numbers = kept.failed(run.program)[:maximum]
+        if not numbers:
+            raise UsageError(f"none of the {len(kept.outcomes):,} episodes of the last evaluation of {run.path} failed")
+        return _Episodes(numbers=numbers, **kept.replay_options)
+
+
+def _record(world: Player, file: Path, wanted: _Episodes, steps: int | None) -> list[WorldFrame]:
+    from deepbots_cli.view.recordings import record
+
+    count = len(wanted.numbers)
+    with terminal.progress(always=False) as show:
+        done = iter(range(1, count + 1))
+        return record(world, file, wanted.seed, wanted.numbers, lambda _: show(next(done), count) if show else None, steps=steps)
+
+
+def _checked_kind(file: Path, given: Sequence[str]) -> str:
+    """The suffix of the file.
+
+    Raises:
+        UsageError: Nothing is made with this suffix, or an option that is given is for others; lists them.
+    """
+    kind = file.suffix.lower()
+    if kind not in SUFFIXES:
+        raise UsageError(f"{file} must end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}; the suffix says what is made")
+    wrong = [name for name in given if kind not in _SUFFIXES_OF[name]]
+    if wrong:
+        reasons = [f"{name} is for {', '.join(_SUFFIXES_OF[name])}" for name in wrong]
+        raise UsageError(f"{file}: {'; '.join(reasons)}; leave {'it' if len(wrong) == 1 else 'them'} out, or name another file")
+    return kind
+
+
+def _made(file: Path) -> dict[str, Any]:
+    return {"file": file, "bytes": file.stat().st_size}
+
+
+def _lines(kind: str, files: Sequence[Path], rows: Sequence[Row]) -> Iterator[str]:
+    if kind == RECORDING_SUFFIX:
+        yield records.recorded_table(rows)
+    for file, row in zip(files, rows, strict=False):
+        size = f"{file.stat().st_size / 1000:,.0f} kB"
+        end = f"{row['ending'] or 'not ended'} after {row['time_s']:.2f} s, return {row['return']:.2f}"
+        yield str(file) if kind == PICTURE else f"{file} ({size})" if kind == RECORDING_SUFFIX else f"{file} ({size}; {end})"
+
+
+def _draw_robot(reference: str, file: Path, shot: Viewpoint, engine: str) -> None:
+    """A picture of a robot on a floor, with its joints at 0."""
+    import PIL.Image  # of the extra that draws
+
+    from deepbots_cli import engines
+    from deepbots_cli.runtime.overview import view_around
+
+    model = open_robot(reference)[0].model
+    pose = Pose((0.0, 0.0, resting_height(model)))
+    world = WorldModel(0.01, 1, robots=(RobotBody("robot", model, fixed_base=True, pose=pose),))
+    low, high = robot_bounds(model)
+    view = shot.view(view_around([(add(low, pose.xyz), add(high, pose.xyz))], shot.width, shot.height))
+    with closing(engines.create(engine, world)) as opened_engine:
+        image = opened_engine.render(view)
+    with atomic_write(file) as draft:
+        PIL.Image.fromarray(image).save(draft, format="PNG")

@@ -1,0 +1,90 @@
+"""`deepbots robustness`: a policy under conditions that it was not trained for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deepbots_cli.cli import records, terminal
+from deepbots_cli.cli.command import ADVANCED, MAX_SEED, SCENARIO, Engine, Json, Overrides, fraction, integer, option
+from deepbots_cli.cli.commands.eval import Gates
+from deepbots_cli.document import Permissions
+from deepbots_cli.engine_kinds import with_engine
+from deepbots_cli.errors import UsageError
+from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.rollout.source import Source, SourceKind
+
+
+def command(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory of `deepbots train`, or a model in it.")],
+    episodes: Annotated[
+        int | None, integer("--episodes N", "Episodes of each evaluation, by default `evaluation.episodes` of the scenario.")
+    ] = None,
+    min_success: Annotated[
+        float | None, option("--min-success RATE", "Success rate that the policy must reach, such as 0.8 or 80%.", parser=fraction)
+    ] = None,
+    min_return: Annotated[float | None, option("--min-return VALUE", "Mean return that the policy must reach.")] = None,
+    mass_of: Annotated[
+        str | None, option("--mass-of NAME", "Object or ROBOT.LINK whose mass changes; by default the heaviest link that can move.")
+    ] = None,
+    as_json: Json = False,
+    scenario: Annotated[
+        str | None, option("--scenario SCENARIO", "Evaluate in this scenario; by default in the scenario of the run.", SCENARIO)
+    ] = None,
+    overrides: Overrides = None,
+    case: Annotated[str | None, option("--case NAME", "Evaluate in this case of `evaluation.cases`.", SCENARIO)] = None,
+    stage: Annotated[str | None, option("--stage NAME", "Evaluate in this stage of the curriculum.", SCENARIO)] = None,
+    engine: Engine = None,
+    seed: Annotated[
+        int | None, integer("--seed N", "Root seed of the starts; by default the seed of the training.", 0, MAX_SEED, ADVANCED)
+    ] = None,
+    last: Annotated[bool, option("--last", "Evaluate the last model instead of the best one.", ADVANCED)] = False,
+    stochastic: Annotated[
+        bool, option("--stochastic", "Sample the actions of the policy; by default it takes its likeliest action.", ADVANCED)
+    ] = False,
+    permissions: Permissions = Permissions(),
+) -> None:
+    """Evaluate a policy with delays, noise and weaker motors.
+
+    deepbots changes one condition at a time by several amounts: latency, message loss, noise, mass, friction and the strength of the
+    motors. All evaluations begin with the same held-out starts. The table shows the level of each condition at which the result falls
+    below the required one.
+
+    --min-success or --min-return gives the required result. By default it is `solved` of the scenario, or 80 % of the result without a
+    change if the scenario has no `solved`.
+
+    \b
+      deepbots robustness runs/cartpole-0-1
+      deepbots robustness runs/cartpole-0-1 --episodes 20 --mass-of cart.pole
+      deepbots robustness runs/find_ball-0-1 --min-success 90%
+
+    Next: train with the condition under which the policy fails, such as `latency` in `messages`.
+    """
+    source = Source.open(run, permissions, SourceKind.RUN, SourceKind.CHECKPOINT)
+    if source.model is not None and last:
+        raise UsageError(f"--last chooses a model, and {run} is one")
+    model: ModelName = "last" if last or source.model == "last" else "best"
+    known, gates = Run.open(source.path), Gates(min_success, min_return, False)
+    gates.check(known.program)
+    with terminal.transient_line("loading the policy ..."):
+        from deepbots_cli.learning.robustness import evaluate_robustness  # which imports torch
+    with terminal.progress("evaluations") as show_level:
+        found = evaluate_robustness(
+            known,
+            episodes=episodes,
+            seed=seed,
+            model=model,
+            deterministic=not stochastic,
+            scenario=scenario,
+            overrides=with_engine(overrides, engine),
+            case=case,
+            stage=stage,
+            mass_of=mass_of,
+            min_success=min_success,
+            min_return=min_return,
+            permissions=permissions,
+            on_level=show_level,
+        )
+    terminal.show(records.robustness_json(found), records.robustness_text(found), as_json=as_json)
