@@ -255,6 +255,13 @@ class Commands(TyperGroup):
         )
         return typer.main.get_command(app)
 
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        from typer.core import CompletionItem  # type: ignore[attr-defined]  # typer exports none
+
+        if incomplete.startswith("-"):
+            return super().shell_complete(ctx, incomplete)
+        return [CompletionItem(name, help=summary) for name, (_, summary) in COMMANDS.items() if name.startswith(incomplete)]
+
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         width = max(map(len, COMMANDS))
         for group, commands in GROUPS.items():
@@ -297,7 +304,6 @@ def run_command(arguments: Sequence[str] | None) -> None:
     """Parse the arguments and run the command; ends with SystemExit, or with the exception of the command."""
     app = typer.Typer(
         cls=Commands,
-        add_completion=False,
         rich_markup_mode=None,
         no_args_is_help=True,
         subcommand_metavar="COMMAND ...",

@@ -103,6 +103,14 @@ def test_the_overview_lists_every_verb(deepbots):
     assert all(verb in shown.out and summary in shown.out for verb, (_, summary) in COMMANDS.items())
 
 
+@pytest.mark.parametrize(("line", "expected"), [("deepbots tr", ["try", "train"]), ("deepbots train --se", ["--set", "--seed", "--seeds"])])
+def test_a_shell_completes_commands_and_options(deepbots, monkeypatch, line, expected):
+    words = line.split()
+    for name, value in {"_DEEPBOTS_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)}.items():
+        monkeypatch.setenv(name, value)
+    assert deepbots().out.split() == expected
+
+
 def test_the_version_is_that_of_the_package(deepbots):
     assert deepbots("--version").out == f"deepbots {deepbots_cli.__version__}\n"
 
