@@ -77,7 +77,7 @@ class KeyCount:
             yield InitErrorDetails(type=refused, loc=(given[-1],), input=data[given[-1]])
         elif len(given) < self.min:
             names = " or ".join(f"`{name}`" for name in self.names)
-            yield InitErrorDetails(type=error("DB102", f"missing key {names}", "give one of them", missing=self.names), input=data)
+            yield InitErrorDetails(type=error("DB102", f"missing key {names}", "write one of them", missing=self.names), input=data)
 
 
 class Section(BaseModel):
@@ -124,7 +124,7 @@ class Size:
     def _check(self, value: Any, info: ValidationInfo) -> Any:
         if len(value) < self.min and not (info.context and info.context.get(LENIENT)):
             if not value:
-                raise error("DB107", "is empty", f"give at least {counted_noun(self.min, self.noun)}")
+                raise error("DB107", "is empty", f"write at least {counted_noun(self.min, self.noun)}")
             raise error("DB106", f"expected at least {counted_noun(self.min, self.noun)}, found {len(value)}")
         return value
 
@@ -269,7 +269,7 @@ class Kinds:
             raise mismatch("a mapping", f"write it like `{{{self.key}: {self.names[0]}}}`", value=value)
         if self.key not in value:
             wanted = " or ".join(f"`{key}`" for key in (self.key, *self.models_by_marker))
-            help = f"give `{self.key}`: one of {', '.join(f'`{name}`' for name in self.names)}"
+            help = f"write `{self.key}`: one of {', '.join(f'`{name}`' for name in self.names)}"
             help = next((remedy for marker, remedy in self.remedies.items() if marker in value), help)
             raise error("DB102", f"missing key {wanted}", help, missing=(self.key, *self.models_by_marker))
         word = value[self.key]

@@ -147,14 +147,14 @@ def check_bounds(
     """Raise DB105 unless `value` is finite and inside; with `exclusive` the minimum itself is outside."""
     if not -MAX_MAGNITUDE <= value <= MAX_MAGNITUDE:
         is_nan = isinstance(value, float) and math.isnan(value)
-        raise error("DB105", "a value that is not a number" if is_nan else "a number too large to be meant")
+        raise error("DB105", "the value is not a number" if is_nan else "the number is implausibly large")
     if minimum is not None and (value < minimum or (exclusive and value == minimum)):
-        help = f"give {'more than' if exclusive else 'at least'} {minimum:g}"
+        help = f"write {'more than' if exclusive else 'at least'} {minimum:g}"
         raise error("DB105", f"`{value}` is below the smallest allowed value", help)
     if maximum is not None and value > maximum:
-        help = f"give at most {maximum:g}"
+        help = f"write at most {maximum:g}"
         if is_share and value <= 100:
-            help += f"; write a percentage as `{value:g} %`"
+            help += f", or a percentage: `{value:g} %`"
         raise error("DB105", f"`{value}` is above the largest allowed value", help)
 
 
@@ -316,7 +316,7 @@ class WholeNumber(Number):
 
 @dataclass(frozen=True)
 class Text(FieldType):
-    """A text, which matches `pattern` if there is one. The headline of another text is `refused`."""
+    """A text, which matches `pattern` if there is one; the headline says what another text cannot be: `refused`."""
 
     noun: str = "a text"
     pattern: str = ""
@@ -326,7 +326,9 @@ class Text(FieldType):
 
     def check(self, value: Any) -> None:
         if self.pattern and not re.fullmatch(self.pattern, value, re.ASCII):
-            raise error("DB105", self.refused, self.help) if self.refused else mismatch(self.noun, self.help_for(value), value=value)
+            if self.refused:
+                raise error("DB105", f"`{value[:40]}` cannot be {self.refused}", self.help)
+            raise mismatch(self.noun, self.help_for(value), value=value)
 
     def json_schema(self) -> JsonSchema:
         return self._matching(f"^{self.pattern}$") if self.pattern else super().json_schema()
@@ -596,7 +598,7 @@ class Expression(Parsed):
 
     def help_for(self, value: object) -> str | None:
         if isinstance(value, list) and self.context == "apply":
-            return "for a value each, give every joint an actuator of its own, or the action `each: robot.actuator`"
+            return "to set each joint separately, define one actuator for each joint, or use the action `each: robot.actuator`"
         return super().help_for(value)
 
     @property
@@ -707,7 +709,7 @@ class Name(FieldType):
             taken = {"a unit": UNITS, "built in": BUILT_IN_NAMES, "a word of the language": GRAMMAR_WORDS}
             for what, names in taken.items():
                 if value in names:
-                    raise error("DB202", f"the name `{value}` is taken: it is {what}", f"choose another name, such as `{value}_value`")
+                    raise error("DB202", f"the name `{value}` is reserved: it is {what}", f"choose another name, such as `{value}_value`")
 
     def json_schema(self) -> JsonSchema:
         about = "A name of your choice: lower-case letters, digits and `_`, not beginning with a digit."

@@ -496,7 +496,7 @@ TITLE = Text(
     "a name",
     r"[A-Za-z][A-Za-z0-9_-]{0,63}",
     "CartPole",
-    refused="a name that cannot name a folder",
+    refused="the name of a scenario",
     help="use letters, digits, `_` and `-`, at most 64, and begin with a letter",
 )
 

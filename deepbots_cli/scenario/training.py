@@ -308,9 +308,9 @@ ALGORITHMS: PluginTable[type[Training]] = PluginTable("deepbots.algorithms", {mo
 AnyTraining = Annotated[Training, Kinds("algorithm", ALGORITHMS)]
 
 SET_ELSEWHERE_HELP: Mapping[str, str] = {
-    "seed": "give it when you train: `--seed 1`",
-    "verbose": "give it when you train: `--quiet`",
-    "tensorboard_log": "every run writes its TensorBoard log into its own directory",
+    "seed": "set it on the command line: `deepbots train --seed 1`",
+    "verbose": "set it on the command line: `deepbots train --quiet`",
+    "tensorboard_log": "remove it: every run writes its TensorBoard log into its own directory",
     "policy_kwargs": "write `network: {hidden: [64, 64], activation: tanh}`",
     "net_arch": "write `network: {hidden: [64, 64]}`",
     "replay_buffer_class": "write `replay: her`",

@@ -42,9 +42,9 @@ from deepbots_cli.scenario.training import SET_ELSEWHERE_HELP, Training
 _MAX_ROUNDS = 16
 _MAX_SHOWN_CHARACTERS = 40
 _MAX_EXAMPLE_CHARACTERS = 120
-_RESERVED = {"agents": "competing agents are kept for a later version of the language"}
+_RESERVED = {"agents": "competing agents are not supported yet"}
 
-_OWN_SECTION_HELP = "it is a top-level section, which begins at the left edge: remove the indentation of the key and of the lines below it"
+_OWN_SECTION_HELP = "move it to the top level: remove the indentation of this key and of the lines below it"
 # Stand-ins for required sections that had findings, so that the other sections are still looked at.
 _REQUIRED_SECTION_DEFAULTS: dict[str, object] = {
     "deepbots": VERSION,
@@ -109,8 +109,8 @@ def _is_readable(root: nodes.MappingNode, findings: Findings) -> bool:
     version = node.value if isinstance(node, ScalarNode) else None
     if node is None or not isinstance(version, int) or version <= VERSION:
         return True
-    headline = f"this file is written in version {node.span.text[:9]} of the language, and this deepbots reads version {VERSION}"
-    findings.add("DB105", node.span, headline, "this file needs a newer deepbots: pip install --upgrade deepbots-cli")
+    headline = f"this file uses version {node.span.text[:9]} of the language, but this deepbots reads version {VERSION}"
+    findings.add("DB105", node.span, headline, "install a newer version of deepbots")
     return False
 
 
@@ -220,9 +220,9 @@ def _typing_hint(node: Node, data: object, path: NodePath) -> tuple[str, Replace
     """Help and replacement for a typing error that the form of a wrong value shows."""
     match node:
         case ScalarNode(style="plain", text=text) if glued := re.fullmatch(r"([A-Za-z_]\w*):(\S.*)", text):
-            return f"a colon is followed by a space: `{glued[1]}: {glued[2][:60]}`", None
+            return f"put a space after the colon: `{glued[1]}: {glued[2][:60]}`", None
         case ScalarNode(style="plain", text=text) if text.endswith(",") and (bare := text.rstrip(", ")):
-            return f"a line ends without a comma: `{bare[:60]}`", Replacement(bare, safe=True)
+            return f"remove the comma at the end of the line: `{bare[:60]}`", Replacement(bare, safe=True)
         case nodes.SequenceNode(items=items) if items and all(isinstance(item, nodes.MappingNode) for item in items):
             return "; ".join(filter(None, ("remove the dashes to write keys", about_key(data, path)))), None
     return None
@@ -251,7 +251,7 @@ def _merge_misplaced_section(root: nodes.MappingNode, data: Any, problems: list[
     for problem in problems:
         if path := _displaced(root, data, problem.path):
             moved[path] = _Problem(
-                path, Finding("DB101", _key_span(root, path), f"`{path[-1]}` stands {_place(path[:-1])}", _OWN_SECTION_HELP)
+                path, Finding("DB101", _key_span(root, path), f"`{path[-1]}` cannot be {_place(path[:-1])}", _OWN_SECTION_HELP)
             )
         else:
             kept.append(problem)
@@ -300,7 +300,7 @@ def _help_for_missing_value(data: object, path: NodePath) -> str:
         return message
     holder = shape_at(Scenario, data, path[:-1], choose=False)
     if isinstance(holder, Kinds) and path[-1] == holder.key:
-        return f"it is one of {_listed(holder.names)}"
+        return f"use one of {_listed(holder.names)}"
     holder = shape_at(Scenario, data, path[:-1])
     if not isinstance(holder, MappingOf):
         return GIVE_A_VALUE
@@ -313,7 +313,7 @@ def _help_for_missing_value(data: object, path: NodePath) -> str:
             hint = shape.help
         case shape:
             hint = _keys_of(shape)
-    return f"give it {noun_of(shape)}{f': {hint}' if hint else ''}"
+    return hint or f"write {noun_of(shape)}"
 
 
 # Wording
@@ -341,7 +341,7 @@ def _listed(words: Iterable[str]) -> str:
 
 
 def _keys_of(shape: Shape | None) -> str | None:
-    return f"its keys are {_listed(shape.model_fields)}" if isinstance(shape, type) else None
+    return f"allowed keys: {_listed(shape.model_fields)}" if isinstance(shape, type) else None
 
 
 def about_key(data: object, path: NodePath) -> str | None:
@@ -387,15 +387,15 @@ def _help_for_unknown(data: object, path: NodePath) -> str | None:
     if issubclass(section, Training) and key in SET_ELSEWHERE_HELP:
         return SET_ELSEWHERE_HELP[key]
     known = tuple(section.model_fields)
-    here = f"here the keys are {_listed(known)}"
+    here = f"allowed keys: {_listed(known)}"
     kinds = shape_at(Scenario, data, parent, choose=False)
     others = [name for name, model in kinds.models.items() if key in model.model_fields] if isinstance(kinds, Kinds) else []
     if others:
-        return f"it is a key of {_listed(others)}; {here}"
+        return f"only {_listed(others)} use this key; {here}"
     near = nearest_word(key, known)
     belongs = _nearest_home(parent, key)
     if belongs is not None and (near is None or near.replace("_", "") != key.lower().replace("_", "")):
-        return f"it belongs {belongs}; {here}"
+        return f"move it {belongs}; {here}"
     return f"did you mean `{near}`? {here}" if near else _keys_of(section)
 
 

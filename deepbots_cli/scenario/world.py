@@ -353,5 +353,5 @@ OBJECTS: dict[str, type[PlacedBody]] = {
     "capsule": CapsuleObject,
     "mesh": MeshObject,
 }
-_ARTICULATED = "move it to `robots`: a body with a robot file is a robot, which needs no sensors and no actuators"
+_ARTICULATED = "move it to `robots`: every body with a robot file is a robot, even without sensors and actuators"
 AnyObject = Annotated[PlacedBody, Kinds("shape", OBJECTS, models_by_marker={"one_of": VariedObject}, remedies={"urdf": _ARTICULATED})]

@@ -13,12 +13,12 @@ Check = Callable[[str], tuple[Scenario | None, list[Finding]]]
 FAULTS = [
     # unknown keys
     ("  timestep: 32 ms", "  timstep: 32 ms", "DB101", "timstep", "unknown key `timstep` in `world`", "did you mean `timestep`?"),
-    ("name: C", "timestep: 1 s\nname: C", "DB101", "timestep", "unknown key `timestep` at the top level", "it belongs under `world`"),
-    ("name: C", "agents: {}\nname: C", "DB101", "agents", "unknown key `agents` at the top level", "later version"),
+    ("name: C", "timestep: 1 s\nname: C", "DB101", "timestep", "unknown key `timestep` at the top level", "move it under `world`"),
+    ("name: C", "agents: {}\nname: C", "DB101", "agents", "unknown key `agents` at the top level", "not supported yet"),
     ("PPO,", "PPO, gama: 0.9,", "DB101", "gama", "unknown key `gama` in `train`", "did you mean `gamma`?"),
-    ("PPO,", "PPO, tau: 0.9,", "DB101", "tau", "unknown key `tau` in `train`", "it is a key of `DQN`, `SAC`"),
+    ("PPO,", "PPO, tau: 0.9,", "DB101", "tau", "unknown key `tau` in `train`", "only `DQN`, `SAC`"),
     ("PPO,", "PPO, seed: 1,", "DB101", "seed", "unknown key `seed` in `train`", "--seed 1"),
-    ("joint: pole_hinge", "joint: p, rays: 3", "DB101", "rays", "unknown key `rays` in `pole_angle`", "it is a key of `infrared`, `sonar`"),
+    ("joint: pole_hinge", "joint: p, rays: 3", "DB101", "rays", "unknown key `rays` in `pole_angle`", "only `infrared`, `sonar`"),
     ("joint: pole_hinge", "joint: p, joints: q", "DB101", "joints", "`joints` cannot be combined with `joint`", "keep one"),
     ("x:               -0.4 .. 0.4 m", "x: {range: 0 .. 1 m, histori: 2}", "DB101", "histori", "unknown key `histori` in `x`", "`history`"),
     # missing keys
@@ -26,8 +26,8 @@ FAULTS = [
     ("reward:\n  alive: 1\n", "", "DB102", "deepbots: 1", "missing key `reward` at the top level", "terms of the reward"),
     ("  timestep: 32 ms\n", "", "DB102", "world", "missing key `timestep` in `world`", "time of one control step"),
     ("type: joint_position, ", "", "DB102", "pole_angle", "missing key `type` in `pole_angle`", "`gyro`"),
-    ("joints: [wheel_*], ", "", "DB102", "wheels", "missing key `joint` or `joints` in `wheels`", "give one"),
-    ("{max_steps: 200}", "{}", "DB102", "truncation", "missing key `max_steps` or `max_time` in `truncation`", "give one"),
+    ("joints: [wheel_*], ", "", "DB102", "wheels", "missing key `joint` or `joints` in `wheels`", "write one"),
+    ("{max_steps: 200}", "{}", "DB102", "truncation", "missing key `max_steps` or `max_time` in `truncation`", "write one"),
     # wrong types
     ("substeps: 4", "substeps: many", "DB103", "many", "expected a whole number, found the text `many`", "physics steps"),
     ("substeps: 4", "substeps: true", "DB103", "true", "expected a whole number, found the truth value `true`", None),
@@ -42,7 +42,7 @@ FAULTS = [
         "expected a length with 2 components, found a list",
         "in one text, like `0.5 0.5 m`",
     ),
-    ("alive: 1", "alive:1", "DB103", "alive:1", "expected a mapping, found the text `alive:1`", "followed by a space: `alive: 1`"),
+    ("alive: 1", "alive:1", "DB103", "alive:1", "expected a mapping, found the text `alive:1`", "put a space after the colon: `alive: 1`"),
     (
         "x:               -0.4 .. 0.4 m",
         "x: [-0.4, 0.4]",
@@ -58,7 +58,7 @@ FAULTS = [
         "DB103",
         "[1, 2]",
         "expected an expression, found a list",
-        "an actuator of its own",
+        "one actuator for each joint",
     ),
     (
         "fallen:    abs(cart.pole_angle) > fall_angle",
@@ -81,20 +81,20 @@ FAULTS = [
     ("csv", "xml", "DB104", "xml", "unknown word `xml`", "known names: `csv`, `json`"),
     ("relu", "rellu", "DB104", "rellu", "unknown word `rellu`", "did you mean `relu`?"),
     # out of range
-    ("substeps: 4", "substeps: 0", "DB105", "0", "`0` is below the smallest allowed value", "give at least 1"),
-    ("friction: 1.0", "friction: -1.0", "DB105", "-1.0", "`-1.0` is below the smallest allowed value", "give at least 0"),
-    ("PPO,", "PPO, gamma: 1.5,", "DB105", "1.5", "`1.5` is above the largest allowed value", "give at most 1"),
-    ("  track:", "  m: 1\n  track:", "DB202", "m", "the name `m` is taken: it is a unit", "another"),
-    ("  track:", "  step: 1\n  track:", "DB202", "step", "the name `step` is taken: it is built in", "another"),
+    ("substeps: 4", "substeps: 0", "DB105", "0", "`0` is below the smallest allowed value", "write at least 1"),
+    ("friction: 1.0", "friction: -1.0", "DB105", "-1.0", "`-1.0` is below the smallest allowed value", "write at least 0"),
+    ("PPO,", "PPO, gamma: 1.5,", "DB105", "1.5", "`1.5` is above the largest allowed value", "write at most 1"),
+    ("  track:", "  m: 1\n  track:", "DB202", "m", "the name `m` is reserved: it is a unit", "another"),
+    ("  track:", "  step: 1\n  track:", "DB202", "step", "the name `step` is reserved: it is built in", "another"),
     ("  track:", "  topSpeed: 1\n  track:", "DB105", "topSpeed", "`topSpeed` cannot be a name", "such as `top_speed`"),
-    ("name: CartPole", "name: Cart/Pole", "DB105", "Cart/Pole", "a name that cannot name a folder", "letters"),
+    ("name: CartPole", "name: Cart/Pole", "DB105", "Cart/Pole", "`Cart/Pole` cannot be the name of a scenario", "letters"),
     ("deepbots: 1", "deepbots: 0", "DB105", "0", "`0` is below the smallest allowed value", None),
     (
         "deepbots: 1",
         "deepbots: 2",
         "DB105",
         "2",
-        "this file is written in version 2 of the language, and this deepbots reads version 1",
+        "this file uses version 2 of the language, but this deepbots reads version 1",
         "newer",
     ),
     # wrong length
@@ -226,7 +226,7 @@ UNFINISHED = [
     ("reward:\n  near:\n", "near", "write it like `2 * speed`"),
     ("robots:\n  bot:\n    urdf: rover\n    emit:\n", "emit", "Example: `emit: [pole_angle]`"),
     ("robots:\n  bot:\n    urdf: rover\n    sensors: {eye: }\n", "eye", "write it like `{type: joint_position}`"),
-    ("world:\n  lines: {track: }\n", "track", "its keys are `points`, `closed`, `width`"),
+    ("world:\n  lines: {track: }\n", "track", "allowed keys: `points`, `closed`, `width`"),
     ("robots:\n  bot:\n    urdf: rover\n    sensors:\n      eye:\n        type:\n", "type", "one of `joint_position`, `joint_velocity`"),
 ]
 
