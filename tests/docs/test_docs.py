@@ -15,6 +15,7 @@ from typing import NamedTuple
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.cli import main
 from deepbots_cli.cli.command import Commands
 from deepbots_cli.cli.commands import COMMANDS
 from deepbots_cli.compiler import check
@@ -184,6 +185,15 @@ def test_the_map_of_a_package_names_its_modules_and_no_others(package: Path):
 
 def test_the_picture_is_small():
     assert (ROOT / "docs" / "images" / "cartpole.png").stat().st_size < 60_000
+
+
+def test_the_readme_shows_a_finding_as_lint_prints_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    (scenario,) = (block.text for block in blocks("yaml") if block.page == "README.md")
+    (shown,) = (block.text for block in blocks("text") if block.page == "README.md")
+    monkeypatch.chdir(tmp_path)
+    Path("pole.yaml").write_text(scenario.replace("> 15 deg", "> 15"), encoding="utf-8")
+    assert main(["lint", "pole.yaml"]) == 1
+    assert capsys.readouterr().out.startswith(shown)
 
 
 def test_the_page_about_the_pipeline_quotes_the_code():
