@@ -63,8 +63,8 @@ class _Keys:
             "",
             _NOTE,
             "",
-            "`NAME` stands for a name of your choice. *Settled* says when a value is determined: *fixed* values are constants, *episode*"
-            " values may be drawn anew at every reset, and *step* values are computed in every timestep.",
+            "`NAME` stands for a name of your choice. The column *known* says when deepbots knows a value: *fixed* values are"
+            " constants, *episode* values may be drawn at each reset, and *step* values are computed in each timestep.",
             "Values are stored in SI units; the unit 1 is a plain number. [The language](../language.md) describes how values are written."
             " The tests insert each example into a suitable scenario and run it.",
         ]
@@ -124,10 +124,10 @@ class _Keys:
 def _defaults() -> Iterator[str]:
     """The hyperparameters of each algorithm, with what a training takes where the scenario is silent."""
     yield from ["", "## Defaults of the hyperparameters", ""]
-    yield "The values that a training takes where `train` does not set them; `deepbots inspect` shows them for one scenario or run."
+    yield "The values that a training uses if `train` does not set them. `deepbots inspect` shows them for one scenario or run."
     for algorithm, model in ALGORITHMS.items():
         own, library, title = DEFAULTS[algorithm], library_defaults(algorithm) or {}, library_of(algorithm)
-        yield from ["", f"### {algorithm}", "", "| hyperparameter | default | whose |", "|---|---|---|"]
+        yield from ["", f"### {algorithm}", "", "| hyperparameter | default | set by |", "|---|---|---|"]
         for name in model.hyperparameter_names():
             text, source = (own[name].description, "deepbots") if name in own else (_plain(library.get(name)), title)
             yield f"| `{name}` | {text} | {source} |"
@@ -173,7 +173,7 @@ def _value(spec: Shape) -> str:
         case Forms(options=options):
             return " **or** ".join(dict.fromkeys(_value(option) for option in options))
         case Kinds(key=key):
-            return f"mapping, told by `{key}`"
+            return f"mapping, kind given by `{key}`"
         case _:
             return "mapping"
 
@@ -213,15 +213,15 @@ _FAMILIES = {
     Family.DRAW: "Draws",
 }
 _KNOWN = {
-    Family.PURE: "The result is known as late as its latest argument: with fixed arguments it is fixed.",
-    Family.WORLD: "The present state of the world, which only the supervisor knows; new in every timestep (*step*).",
-    Family.MESSAGE: "What the supervisor knows about the messages themselves; new in every timestep (*step*).",
-    Family.STATEFUL: "They keep a value from timestep to timestep, and are new in every timestep (*step*). `start`, where it may be"
-    " given, is the value before the first timestep.",
+    Family.PURE: "A result becomes known with its latest argument: if all arguments are fixed, the result is fixed.",
+    Family.WORLD: "The present state of the world, which only the supervisor knows. The values change in each timestep (*step*).",
+    Family.MESSAGE: "The supervisor's information about messages. The values change in each timestep (*step*).",
+    Family.STATEFUL: "These functions remember values between timesteps. Their values change in each timestep (*step*). The optional"
+    " argument `start` is the value before the first timestep.",
     Family.DRAW: "One draw per episode (*episode*), or, in a parameter, `every 5 s` or `each step`.",
 }
 _PLACES = {
-    Context.FIXED: "values that determine spaces and sizes: timestep, arena, ranges",
+    Context.FIXED: "values that must be fixed: timestep, sizes, ranges",
     Context.PARAMETER: "`parameters`",
     Context.FIELD: "other values of the world and its robots",
     Context.RESET: "`reset`",
@@ -276,7 +276,7 @@ def _unit(function: Function) -> str:
         return f"`{function.result(ANGLE)}` or `{given}`"
     if function.result(TIME) == given:
         return "1" if given == NUMBER else f"`{given}`"
-    return {LENGTH: "as given", LENGTH * TIME: "as given, times seconds"}.get(given, "the root of what is given")
+    return {LENGTH: "as given", LENGTH * TIME: "as given, times seconds"}.get(given, "the square root of the given unit")
 
 
 # Rules

@@ -1,7 +1,7 @@
 """What a robot can drive: one class per kind.
 
-A class says everything about its kind: its parameters (fields with a docstring each), what it does (its docstring), and the dimension,
-components and interval of its commands. Validation, JSON Schema, completion, hover and reference come from it.
+A class defines its kind: its parameters (fields with docstrings), its effect (its docstring), and the dimension, components and interval of
+commands. Validation, JSON Schema, completion, hover and reference come from it.
 
 Other packages add a kind by an entry point of the group `deepbots.actuators`, whose name is the word of its `type`: a `JointActuator`
 with the control law `drive`, which gets the fields of the class as SI numbers and words. Generated code drives the kinds of deepbots.
@@ -41,23 +41,23 @@ Spin = Annotated[Scalar, Quantity("number", minimum=-1, maximum=1)]
 
 
 class Actuator(Section):
-    """What all actuators have: the faults of real ones."""
+    """Parameters of all actuators: strength and response."""
 
     dimension: ClassVar[Dimension] = NUMBER
-    """Of a command, which is in the SI unit of it."""
+    """Dimension of a command; commands are in its SI unit."""
     components: ClassVar[Components] = ()
-    """Of a command, where they are not the joints or links that it drives."""
+    """Names of the components of a command, if they are not the driven joints or links."""
     interval: ClassVar[Interval] = EVERYTHING
-    """To which commands of a plug-in's kind are clamped."""
+    """Interval to which deepbots clamps commands of a plug-in's kind."""
 
     type: PlainText
     """The kind of actuator."""
     strength: RandomizableFactor = 1
-    """Factor on the torque, force or thrust of the actuator; below 1 for a worn one."""
+    """Factor on the torque, force or thrust of the actuator; below 1 for a worn actuator."""
     delay: RandomizableDelay = "0 ms"
     """Time from a command to its effect."""
     time_constant: RandomizableDelay = "0 ms"
-    """Time constant with which it follows a command."""
+    """Time constant with which the actuator follows a command."""
 
 
 class JointActuator(Actuator):
@@ -70,9 +70,9 @@ class JointActuator(Actuator):
     key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("joint", "joints"), min=1),)
 
     joint: JointName | None = None
-    """The joint that it drives."""
+    """The joint that the actuator drives."""
     joints: JointNames | None = None
-    """The joints that it drives: names, patterns such as `wheel_*`, or a group."""
+    """The joints that the actuator drives: names, patterns such as `wheel_*`, or a group."""
     max_torque: MaxTorque | None = None
     """Largest torque (N*m) or force (N) per joint; by default the effort limit of the robot file."""
 
@@ -90,7 +90,7 @@ class VelocityMotor(JointActuator):
 
     type: Literal["velocity_motor"]
     max_velocity: JointSpeed | None = None
-    """Largest velocity; by default the limit of the robot file."""
+    """Largest velocity; by default the velocity limit of the robot file."""
     max_acceleration: JointAcceleration | None = None
     """Largest rate of change of the velocity setpoint; by default unlimited."""
 
@@ -107,7 +107,8 @@ class PositionMotor(JointActuator):
     damping: Damping | None = None
     """Torque per angular speed, N*m*s/rad, or force per speed, N*s/m."""
     max_velocity: JointSpeed | None = None
-    """Largest rate of change of the position setpoint; by default the robot file's velocity limit, or unlimited with `stiffness`."""
+    """Largest rate of change of the position setpoint. By default it is the velocity limit of the robot file; with `stiffness` it is
+    unlimited."""
 
 
 class TorqueMotor(JointActuator):
@@ -120,7 +121,7 @@ class TorqueMotor(JointActuator):
 
 
 class Thrust(Actuator):
-    """Pushes links along their z axis, as a rotor does."""
+    """Pushes links along their z axes, as a rotor does."""
 
     dimension = FORCE
     key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("link", "links"), min=1),)
@@ -128,15 +129,16 @@ class Thrust(Actuator):
     type: Literal["thrust"]
 
     link: LinkName | None = None
-    """The link that it pushes."""
+    """The link on which the thrust acts."""
     links: LinkNames | None = None
-    """The links that it pushes: names, patterns, or a group."""
+    """The links on which the thrust acts: names, patterns, or a group."""
     range: Annotated[str, Range("force")]
     """Smallest and largest thrust, such as `0 .. 0.15 N`."""
     moment_constant: Length = 0
-    """Torque about z per thrust, N*m/N = m."""
+    """Drag torque about z per thrust, N*m/N = m."""
     spin: Annotated[dict[Annotated[str, Pattern("link")], Spin] | Spin, FORMS] = 1
-    """Sign of the torque of `moment_constant`, 1 or -1, for all links or per link; 1 for a rotor that turns clockwise seen from above."""
+    """Factor on the drag torque, for all links or by link: 1 for a rotor that turns clockwise seen from above, -1 for one that turns
+    counterclockwise."""
 
 
 class Cartesian(Actuator):
@@ -151,7 +153,7 @@ class Cartesian(Actuator):
     joints: JointNames
     """The joints that move it."""
     rpy: Annotated[Scalar, Quantity("angle", components=3)] | None = None
-    """Attitude that the link keeps in the world: roll, pitch, yaw; by default any."""
+    """Orientation of the link in the world frame: roll, pitch, yaw. By default the orientation is free."""
     max_torque: MaxTorque | None = None
     """Largest torque or force per joint."""
     max_velocity: JointSpeed | None = None

@@ -497,7 +497,7 @@ def _docstrings(module: str) -> Mapping[tuple[str, str], str]:
         for entry, below in pairwise(section.body):
             match entry, below:
                 case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                    found[section.name, name] = inspect.cleandoc(text)
+                    found[section.name, name] = " ".join(text.split())
     return found
 
 

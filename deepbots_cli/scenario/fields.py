@@ -799,7 +799,7 @@ def read_until(value: object) -> tuple[str, float, int | None] | None:
 class Until(FieldType):
     """When a stage of the curriculum is done."""
 
-    noun = "a mean over episodes, a mean in evaluation, or a number of steps"
+    noun = "a criterion over episodes, a criterion in evaluation, or a number of steps"
     example = "success_rate >= 0.7 over 40 episodes"
 
     def has_form(self, value: object) -> bool:

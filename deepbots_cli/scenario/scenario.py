@@ -1,4 +1,4 @@
-"""The scenario: robots, messages, the task, and the whole file, whose sections stand in the order in which a reader wants them."""
+"""The scenario: robots, messages, the task, and the whole file."""
 
 import pathlib
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -49,28 +49,28 @@ from deepbots_cli.scenario.world import AnyObject, Pose, World
 
 
 class LinkOverride(Section):
-    """Overrides of a link; `urdf` stands for the value in the robot file."""
+    """Overrides of a link. In expressions, `urdf` is the value in the robot file."""
 
     mass: Annotated[Scalar, Quantity("mass", known="episode", minimum=0, urdf=True)] | None = None
     """Mass, kg; it also scales the inertia. `urdf * 1.2` is 1.2 times the mass in the robot file."""
     density: Annotated[Scalar, Quantity("density", minimum=0, exclusive=True)] | None = None
-    """In place of `mass`: mass, centre and inertia of a homogeneous body of the shape of the link."""
+    """Density, kg/m^3, in place of `mass`: the link gets the mass, center of mass and inertia of a homogeneous body of its shape."""
     scale: Annotated[Scalar, Quantity("number", components=3, minimum=0, exclusive=True)] | None = None
-    """Factors along x, y and z on shapes, centre of mass and child joints; the mass scales with the volume."""
+    """Scale factors along x, y and z for shapes, center of mass and child joints. The mass scales with the volume."""
     friction: Annotated[Scalar, Quantity("number", known="episode", minimum=0)] | None = None
     """Coulomb's coefficient of friction."""
     spinning_friction: RandomizableFactor | None = None
-    """Friction against spinning on the spot."""
+    """Friction against spinning on the spot, in m, written as a plain number."""
     rolling_friction: RandomizableFactor | None = None
-    """Friction against rolling."""
+    """Friction against rolling, in m, written as a plain number."""
     restitution: RandomizableShare | None = None
-    """Share of the speed that a bounce keeps, 0 to 1."""
+    """Fraction of the speed that remains after a bounce, 0 to 1."""
     color: Color | None = None
     """Color of the link."""
 
 
 class JointOverride(Section):
-    """Overrides of a joint; `urdf` stands for the value in the robot file."""
+    """Overrides of a joint. In expressions, `urdf` is the value in the robot file."""
 
     damping: Annotated[Scalar, Quantity("damping", known="episode", minimum=0, urdf=True)] | None = None
     """Viscous damping, N*m*s/rad or N*s/m."""
@@ -81,29 +81,29 @@ class JointOverride(Section):
     max_torque: Annotated[Scalar, Quantity("torque or force", minimum=0, urdf=True)] | None = None
     """Effort limit, N*m or N."""
     max_velocity: Annotated[Scalar, Quantity("angular speed or speed", minimum=0, urdf=True)] | None = None
-    """Velocity limit."""
+    """Velocity limit, rad/s or m/s."""
 
 
 Emitted = Annotated[Many[Annotated[str, Reference("sensor")]] | dict[LocalName, Annotated[Scalar, Expression("emit")]], FORMS]
 
 
 class Robot(Section):
-    """A body from a robot file, with sensors, actuators, and a controller that acts on messages."""
+    """A robot from a robot file, with sensors, actuators, and a controller that exchanges messages with the supervisor."""
 
     urdf: Annotated[str, FilePath("robot file")]
     """The robot file: a path relative to this file, the name of a shipped robot, or `package://name/path`."""
     base: Literal["free", "fixed"] = "free"
     """Whether the root link moves or is fixed to the world."""
     pose: Pose = Field(default_factory=Pose)
-    """Where it stands unless `reset` places it."""
+    """Start pose of the robot, unless `reset` places it."""
     count: RandomizableCount = 1
-    """Number of copies; the name then stands for the group."""
+    """Number of copies. With more than one, the name refers to the group of all copies."""
     spacing: Annotated[Scalar, Quantity("length", components=3)] | None = None
-    """Offset from each copy to the next, x y z; the row is centred on the position of the robot."""
+    """Offset from each copy to the next along x, y and z. The row is centered on the position of the robot."""
     links: dict[Annotated[str, Pattern("link")], LinkOverride] = {}
-    """Changes of links, by name or pattern such as `wheel_*`."""
+    """Changes to links, by name or by a pattern such as `wheel_*`."""
     joints: dict[JointPattern, JointOverride] = {}
-    """Changes of joints, by name or pattern."""
+    """Changes to joints, by name or by a pattern."""
     groups: dict[LocalName, Annotated[Many[Annotated[str, Pattern("joint or link")]], Size(1, "name")]] = {}
     """Names for several joints or several links: lists of names and patterns."""
     poses: dict[LocalName, Annotated[dict[JointPattern, JointPosition], Size(1, "joint")]] = {}
@@ -113,7 +113,7 @@ class Robot(Section):
     actuators: dict[LocalName, AnyActuator] = {}
     """Actuators, by names of your choice."""
     receive: dict[LocalName, Annotated[Scalar, Expression("receive")]] | None = None
-    """Values that the supervisor sends besides the action: a name and an expression each."""
+    """Further values that the supervisor sends with the action: names with expressions."""
     emit: Emitted | None = None
     """What the robot sends in every timestep: sensors, or names with expressions over them. Default: sensors that the supervisor uses."""
     apply: dict[Annotated[str, Reference("actuator")], Annotated[Scalar, Expression("apply", boolean=False)]] = {}
@@ -126,24 +126,27 @@ class Route(Section):
     latency: Annotated[Scalar, Quantity("time", known="step", minimum=0, maximum=60, usual_unit="ms")] = "0 ms"
     """Time from sending to arrival."""
     loss: Annotated[Scalar, Quantity("number", known="step", minimum=0, maximum=1)] = 0
-    """Share of messages that never arrive."""
+    """Probability that a message is lost, 0 to 1."""
     burst: Annotated[Scalar, Quantity("number", minimum=1)] | None = None
-    """Mean number of messages that are lost in a row; without it, losses are independent of each other."""
+    """Mean number of messages that are lost in a row. By default, losses are independent of each other."""
     range: Annotated[Scalar, Quantity("length", known="episode", minimum=0)] | None = None
-    """Maximum distance from the origin of the world to the robot's root link; beyond it no message arrives."""
+    """Range of the channel, m: no message arrives while the root link of the robot is farther from the origin of the world. By default
+    unlimited."""
     order: Literal["sent", "arrival", "newest"] = "sent"
-    """Which message counts when several are on their way: in the order sent, as they arrive, or only the newest."""
+    """Order of delivery. `sent`: in the order of sending, so a late message delays the following ones. `arrival`: in the order of arrival.
+    `newest`: as `arrival`, but without messages that are older than one already delivered."""
     on_loss: Literal["hold", "zero", "skip"] = "hold"
-    """How the receiver replaces a lost message: it holds the last one, takes zeros, or does nothing."""
+    """What the receiver does for a lost message. `hold`: it uses the last message again. `zero`: it uses zeros. `skip`: it does nothing."""
 
 
 class Messages(Section):
     """Messages between supervisor and robots."""
 
     format: Annotated[str, Word(FORMATS)] = "struct"
-    """Encoding of messages; with `none`, the supervisor acts on the robot without messages."""
+    """Encoding of messages. With `none`, the supervisor controls the robots without messages."""
     timing: Literal["immediate", "delayed"] = "immediate"
-    """`immediate`: an action takes effect in its timestep; `delayed`: one timestep later, and the robot's messages are one timestep old."""
+    """`immediate`: an action takes effect in the same timestep. `delayed`: it takes effect one timestep later, and messages from robots
+    arrive one timestep later."""
     to_robot: Route = Field(default_factory=Route)
     """The channel from the supervisor to the robots."""
     from_robot: Route = Field(default_factory=Route)
@@ -152,36 +155,38 @@ class Messages(Section):
 
 # Task
 
-PYTHON_PATH = Text("the place of a function", r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", "package.module:function")
+PYTHON_PATH = Text("a function as `package.module:function`", r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", "package.module:function")
 Choice = Annotated[Scalar, Quantity("any")]
 Noise = Annotated[Scalar, Quantity("any", known="episode", relative=True, minimum=0)]
 
 
 class PythonTerm(Section):
-    """A term computed by a function of an installed package; refused unless foreign code is allowed."""
+    """A term that a Python function of an installed package computes. deepbots runs it only with `--allow-code`
+    (`Permissions(code=True)`)."""
 
     python: Annotated[str, PYTHON_PATH]
     """The function, `package.module:function`."""
 
 
 class ContinuousAction(Section):
-    """Numbers that the agent chooses in [-1, 1], which are mapped to the range."""
+    """Numbers in [-1, 1] that the policy chooses and deepbots maps to a range."""
 
     range: Annotated[str, Range("any")]
-    """The range that [-1, 1] is mapped to, such as `0.25 .. 1`."""
+    """The range of the action, such as `0.25 .. 1`: -1 is mapped to its lower end, 1 to its upper end."""
     each: Annotated[str, Reference("group")] | None = None
-    """One number for each member of this group or actuator."""
+    """A group or an actuator: the action has one number for each of its members."""
 
 
 class DiscreteAction(Section):
-    """One of several options."""
+    """A choice of one of several options."""
 
     identifying_keys: ClassVar[frozenset[str]] = frozenset({"choices", "forbid"})
 
     choices: Annotated[dict[LocalName, Annotated[dict[SharedName, Choice] | Choice, FORMS]], Size(2, "choice")]
-    """The options by name. Each has a number, or the variables that it sets: `{ahead: {left: 1, right: 1}, stop: {left: 0, right: 0}}`."""
+    """The options by name. Each option has a number, or sets several variables: `{ahead: {left: 1, right: 1}, stop: {left: 0, right:
+    0}}`."""
     forbid: dict[Annotated[str, Reference("choice")], Annotated[str, Expression("forbid", boolean=True)]] = {}
-    """For each option, the condition under which it may not be chosen."""
+    """Conditions by option: while its condition is true, the policy must not choose the option."""
 
 
 Action = Annotated[DiscreteAction | ContinuousAction | Annotated[str, Range("any")], FORMS]
@@ -191,20 +196,21 @@ class Agent(Section):
     """How the policy acts in the scenario."""
 
     action_repeat: SmallInt = 1
-    """Timesteps for which one action of the agent is held."""
+    """Number of timesteps for which the environment applies each action."""
     frame_stack: SmallInt = 1
-    """How many observations in a row the policy sees."""
+    """Number of consecutive observations that the policy gets at once."""
     each: Annotated[str, Reference("robot")] | None = None
-    """One shared policy over the copies of this robot."""
+    """A robot with several copies: one shared policy controls each copy separately."""
 
 
 class Observed(Section):
-    """One entry of the observation, with more than its range."""
+    """One entry of the observation, with further settings besides its range."""
 
     range: Annotated[str, Range("any", auto=True)]
-    """The range that is mapped to [-1, 1], such as `-0.4 .. 0.4 m`; `auto` takes the known interval."""
+    """The range that deepbots maps to [-1, 1], such as `-0.4 .. 0.4 m`. `auto` uses the range that deepbots derives, for example from joint
+    limits."""
     history: SmallInt = 1
-    """How many values in a row the policy sees, newest last."""
+    """Number of consecutive values that the policy gets at once, newest last."""
     noise: Noise = 0
     """Standard deviation of added noise, such as `0.01 rad`, or `2 %` of the value."""
     clip: Bool = True
@@ -212,25 +218,25 @@ class Observed(Section):
 
 
 class Goal(Section):
-    """Goal specification, for hindsight replay."""
+    """The goal of an episode, for hindsight experience replay."""
 
     achieved: Annotated[Scalar, Expression("goal", boolean=False)]
     """The value that the agent has reached."""
     desired: Annotated[Scalar, Expression("goal", boolean=False)]
     """The value to reach."""
     tolerance: Annotated[Scalar, Quantity("any", minimum=0)]
-    """Largest distance between `achieved` and `desired` at which the goal counts as reached."""
+    """Largest distance between `achieved` and `desired` at which the goal is reached."""
     range: Annotated[str, Range("any")]
     """Range of `achieved` and `desired`, which is mapped to [-1, 1] in the observation."""
     noise: Noise = 0
-    """Standard deviation of the noise on `achieved`: in its unit, such as `5 mm`, or as `2 %` of the value."""
+    """Standard deviation of the noise on `achieved`: in the unit of `achieved`, such as `5 mm`, or as `2 %` of the value."""
 
 
 Condition = Annotated[PythonTerm | Annotated[str, Expression("ending", boolean=True)], FORMS]
 
 
 class Termination(Section):
-    """Conditions that end the task; the agent learns about them."""
+    """Conditions that end the task: the episode is `terminated`."""
 
     success: dict[SharedName, Condition] = {}
     """Conditions under which the agent has succeeded, by names of your choice."""
@@ -239,14 +245,14 @@ class Termination(Section):
 
 
 class Truncation(Section):
-    """Limits that only cut the episode short; they are not part of the task."""
+    """Limits that are not part of the task: the episode is `truncated`."""
 
     key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("max_steps", "max_time"), min=1, max=2),)
 
     max_steps: Annotated[Scalar, Quantity("number", minimum=1, whole=True)] | None = None
-    """Steps of the agent."""
+    """Maximum number of steps of the agent."""
     max_time: Annotated[Scalar, Quantity("time", minimum=0, exclusive=True)] | None = None
-    """Simulated time, such as `60 s`."""
+    """Maximum simulated time, such as `60 s`."""
 
 
 Decision = Annotated[
@@ -268,8 +274,8 @@ class Stage(Section):
     set: Settings = {}
     """Changes: parameters by name, or other values by path, such as `reset.layout: paper`."""
     until: Annotated[str, Until()] | None = None
-    """When the next stage begins: `success_rate >= 0.7 over 40 episodes` of the training, `success_rate >= 0.7 in evaluation` without
-    exploration, or after `50_000 steps`."""
+    """When this stage ends: `success_rate >= 0.7 over 40 episodes` (training episodes), `success_rate >= 0.7 in evaluation` (without
+    exploration), or `50_000 steps` (of this stage). `mean_return` can replace `success_rate`."""
 
 
 class Case(Section):
@@ -278,14 +284,14 @@ class Case(Section):
     set: Settings = {}
     """Changes: parameters by name, or other values by path."""
     episodes: PositiveInt | None = None
-    """Episodes of this case."""
+    """Number of episodes of this case."""
 
 
 class Evaluation(Section):
     """Evaluation of a trained policy."""
 
     episodes: PositiveInt = 100
-    """Episodes, or episodes per case."""
+    """Number of episodes, for each case."""
     cases: dict[LocalName, Case] = {}
     """Further conditions under which the policy is evaluated, by names of your choice."""
 
@@ -312,24 +318,24 @@ EndingName = Annotated[str, Reference("ending")]
 
 
 class Expectation(Section):
-    """Result that a test expects; all of it must hold."""
+    """Results that a test expects. The test passes if all of them are met."""
 
     key_rules: ClassVar[tuple[KeyCount, ...]] = (
         KeyCount(("success_rate", "failure_rate", "mean_return", "ends_by", "always", "eventually"), min=1, max=6),
     )
 
     success_rate: Annotated[Scalar, Bounds()] | None = None
-    """Share of successful episodes: its minimum, or a range."""
+    """Fraction of successful episodes: a minimum, or a range."""
     failure_rate: Annotated[Scalar, Bounds()] | None = None
-    """Share of episodes that end by a failure: its minimum, or a range."""
+    """Fraction of episodes that end by a failure: a minimum, or a range."""
     mean_return: Annotated[Scalar, Bounds()] | None = None
-    """Mean return of the episodes: its minimum, or a range."""
+    """Mean return of the episodes: a minimum, or a range."""
     ends_by: Annotated[Annotated[Many[EndingName], Size(1, "ending")] | EndingName, FORMS] | None = None
-    """The ending or limit, or several, by one of which every episode ends."""
+    """The allowed endings and limits: each episode must end by one of them."""
     always: Requirements | None = None
-    """A condition, or several, that hold after every step."""
+    """Conditions that must be true after every step."""
     eventually: Requirements | None = None
-    """A condition, or several, each of which holds after at least one step of every episode."""
+    """Conditions, each of which must be true after at least one step of every episode."""
 
 
 class ScenarioTest(Section):
@@ -344,15 +350,15 @@ class ScenarioTest(Section):
     episodes: Annotated[int, WholeNumber(1, 1000)] = 1
     """Number of episodes."""
     seed: Annotated[int, WholeNumber(0, 1_000_000_000)] = 0
-    """Root seed of the episodes, which start as those of an evaluation."""
+    """Seed of the test. Its episodes start like the episodes of an evaluation with this seed."""
     max_steps: PositiveInt | None = None
-    """Steps after which an episode stops."""
+    """Number of steps after which an episode stops."""
     max_time: Annotated[Scalar, Quantity("time", minimum=0, exclusive=True)] | None = None
     """Simulated time after which an episode stops."""
     case: Annotated[str, Reference("case")] | None = None
-    """Case of the evaluation whose settings apply."""
+    """Case of `evaluation` whose settings the test uses."""
     stage: Annotated[str, Reference("stage")] | None = None
-    """Stage of the curriculum whose settings apply."""
+    """Stage of `curriculum` whose settings the test uses."""
     expect: Expectation
     """Expected result."""
 
@@ -363,7 +369,7 @@ class Measured(Section):
     value: Signal
     """The exact value."""
     noise: Noise = 0
-    """Standard deviation of the noise on it: in its unit, such as `2 mm`, or as `2 %` of the value."""
+    """Standard deviation of the noise: in the unit of the value, such as `2 mm`, or as `2 %` of the value."""
 
 
 Augmentation = Annotated[
@@ -383,9 +389,9 @@ class JointState(Section):
     """Position and velocity of a joint at the start."""
 
     position: JointAngle
-    """Position, an angle or a length."""
+    """Position of the joint: an angle or a length."""
     velocity: JointRate = 0
-    """Velocity."""
+    """Velocity of the joint, rad/s or m/s."""
 
 
 class Region(Section):
@@ -398,7 +404,7 @@ class Region(Section):
 
 
 class Placement(Pose):
-    """Where a body stands at the start: at a pose, somewhere in a region, or on a line."""
+    """Start pose of a body: given, drawn from a region, or at the beginning of a line."""
 
     key_rules: ClassVar[tuple[KeyCount, ...]] = (
         *Pose.key_rules,
@@ -408,30 +414,31 @@ class Placement(Pose):
     )
 
     region: Annotated[Region | Annotated[str, Reference("region")], FORMS] | None = None
-    """Draws a free position: `arena`, or a rectangle `{x: -1 .. 1 m, y: -1 .. 1 m}`."""
+    """Region in which deepbots draws a free position: `arena`, or a rectangle `{x: -1 .. 1 m, y: -1 .. 1 m}`."""
     on: Annotated[str, Reference("object")] | None = None
-    """Draws a free position on the flat top of this object, a box or a cylinder: on the whole top, or on its part within `region`."""
+    """A box or a cylinder on whose flat top deepbots draws a free position: on the whole top, or on its part within `region`."""
     clearance: Length = 0
-    """Minimum distance to other bodies, m; a movable body also keeps it to the walls of the arena and to the edge of its surface."""
+    """Minimum distance to other bodies, m. For a movable body it is also the minimum distance to the arena walls and to the edge of the
+    surface below it."""
     grid: Thickness | None = None
-    """Draws the position from a grid with this spacing, m."""
+    """Spacing, m, of a grid from which deepbots draws the position."""
     line: Annotated[str, Reference("line")] | None = None
-    """Stands at the beginning of this painted line, along it."""
+    """A painted line: the body starts at its beginning, heading along the line."""
     at_most: PositiveInt | None = None
     """Maximum number of copies of a group that are placed; the others are absent."""
     spacing: Annotated[Scalar, Quantity("length", 2)] | None = None
-    """Offset from each copy of a group to the next, along x and y, such as `0 1.5 m`; the row is centred on the position."""
+    """Offset from each copy of a group to the next, along x and y, such as `0 1.5 m`. The row is centered on the position."""
     velocity: Annotated[Scalar, Quantity("speed", 3, "episode")] | None = None
-    """Velocity at the start, world frame."""
+    """Velocity at the start, m/s, in the world frame."""
     angular_velocity: Annotated[Scalar, Quantity("angular speed", 3, "episode")] | None = None
-    """Angular velocity at the start, world frame."""
+    """Angular velocity at the start, rad/s, in the world frame."""
 
 
 Places = dict[BodyName, Placement]
 
 
 class MapLayout(Section):
-    """A layout as a map of letters: each cell holds one letter of the legend, or a dot if it is empty."""
+    """A layout as a map: each cell is a letter of the legend, or a dot if it is empty."""
 
     identifying_keys: ClassVar[frozenset[str]] = frozenset({"map", "cell"})
 
@@ -453,19 +460,20 @@ class Reset(Section):
     key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("layout", "place")),)
 
     place: Places = {}
-    """Where robots and objects stand, in this order; later ones avoid earlier ones."""
+    """Start poses of robots and objects. Bodies with coordinates are placed first; the others follow in this order and avoid the bodies
+    placed before."""
     joints: Annotated[dict[Annotated[str, Reference("joints")], Annotated[JointState | JointAngle, FORMS]], InsteadOf("set")] = {}
     """Positions of joints, such as `cart.pole_hinge: uniform(-1 .. 1 deg)`, or of a group."""
     layout: Annotated[Mixture | LayoutName, FORMS] | None = None
-    """The layout to use, or several layouts with their shares, such as `{scattered: 88 %, paper: 12 %}`."""
+    """The layout to use, or several layouts with their probabilities, such as `{scattered: 88 %, paper: 12 %}`."""
     layouts: dict[SharedName, Annotated[MapLayout | Places, FORMS]] = {}
-    """Arrangements by names of your choice: a place for each body, or a map in letters."""
+    """Layouts by names of your choice: a start pose for each body, or a map of letters."""
     require: Annotated[str, Expression("require", boolean=True)] | None = None
-    """A condition at the start; while it is false, everything is drawn again."""
+    """A condition that each start must meet. If it is false, deepbots draws the whole start again."""
     attempts: Annotated[int, WholeNumber(1, 100_000)] = 100
-    """Maximum number of draws; then the reset fails."""
+    """Maximum number of draws per reset. If none gives a valid start, the reset fails."""
     settle: Annotated[Scalar, Quantity("time", minimum=0)] = "0 s"
-    """Simulated time for things to come to rest before the episode begins."""
+    """Simulated time before the episode begins, so that bodies come to rest."""
 
 
 class Disturbance(Section):
@@ -476,15 +484,15 @@ class Disturbance(Section):
     body: Annotated[str, Reference("body or link")]
     """The robot, link or object that is pushed."""
     force: Annotated[Scalar, Quantity("force", 3, "step")] | None = None
-    """Force in the world frame, drawn anew for each push."""
+    """Force in the world frame, N, drawn for each push."""
     torque: Annotated[Scalar, Quantity("torque", 3, "step")] | None = None
-    """Torque in the world frame, drawn anew for each push."""
+    """Torque in the world frame, N*m, drawn for each push."""
     every: Annotated[Scalar, Quantity("time", known="step", minimum=0, exclusive=True)] | None = None
-    """Time from the beginning of one push to the beginning of the next; also the time before the first push, unless `at` is given."""
+    """Time from the beginning of one push to the beginning of the next. It is also the time before the first push, unless `at` is given."""
     at: Annotated[Scalar, Quantity("time", known="episode", minimum=0)] | None = None
-    """Time of the first push, which is the only one without `every`."""
+    """Start time of the first push. Without `every`, there is only this push."""
     duration: Annotated[Scalar, Quantity("time", known="step", minimum=0)]
-    """How long a push acts."""
+    """Duration of a push."""
 
 
 # The whole file
@@ -504,8 +512,8 @@ TITLE = Text(
 class Scenario(Section):
     """One task: world, robots, messages, observation, reward, endings, resets, training.
 
-    It may be built in Python of nested models, mappings and plain values. A value of a wrong type or form and an unknown key raise
-    `pydantic.ValidationError`. Checks of the whole scenario follow in `deepbots_cli.lint` and `compile`.
+    You can build a scenario in Python from nested models, mappings and plain values. An unknown key, or a value of the wrong type or form,
+    raises `pydantic.ValidationError`. `deepbots_cli.api.lint` and `deepbots_cli.compile` check the scenario as a whole.
     """
 
     deepbots: PositiveInt
@@ -517,9 +525,9 @@ class Scenario(Section):
     parameters: dict[SharedName, Annotated[Scalar, Expression("parameter")]] = {}
     """Values by names of your choice: constants, or draws such as `uniform(0 .. 1 m)` that are new in every episode."""
     world: World
-    """Time and place: timestep, gravity, ground, arena."""
+    """The simulated world: timestep, physics engine, gravity, ground, arena."""
     objects: dict[SharedName, AnyObject] = {}
-    """Bodies that are no robots, by names of your choice."""
+    """Bodies other than robots, by names of your choice."""
     robots: Annotated[dict[SharedName, Robot], Size(1, "robot")]
     """The robots, by names of your choice."""
     messages: Messages = Field(default_factory=Messages)
@@ -527,15 +535,15 @@ class Scenario(Section):
     action: Annotated[dict[SharedName, Action], Size(1, "action")]
     """Actions of the agent, by names of your choice: a range, or choices."""
     agent: Agent = Field(default_factory=Agent)
-    """How the policy is joined to the scenario."""
+    """How the policy acts: action repeat, frame stack, one policy for all copies."""
     augment: Augmentation = {}
-    """Values that the supervisor adds to those of the robots; the policy may see them."""
+    """Values from the supervisor that the policy may observe, in addition to values that robots send."""
     signals: dict[SharedName, Signal] = {}
-    """Helpers for reward and endings; the policy never sees them."""
+    """Helper values for reward, endings and scripts. The policy should not observe them (DB609)."""
     goal: Goal | None = None
-    """Goal specification."""
+    """The goal of an episode: a value to reach."""
     observation: Annotated[Observation, Size(1, "entry")]
-    """Observation of the policy, in this order: the name of a value, and the range that is mapped to [-1, 1]."""
+    """Entries of the observation, in this order: the name of a value, and the range that deepbots maps to [-1, 1]."""
     reward: Annotated[Reward, Size(1, "term")]
     """Terms of the reward, by names of your choice. Each term is a plain number; the reward is their sum."""
     termination: Termination = Field(default_factory=Termination)
@@ -568,11 +576,11 @@ class Scenario(Section):
 
     @classmethod
     def from_yaml(cls, path: str | pathlib.Path) -> Self:
-        """The scenario in a file, with all that the file extends and includes; files that it names get absolute paths.
+        """Load a scenario from a file, including the files that it extends and includes. Paths of robot and mesh files become absolute.
 
         Raises:
             ScenarioError: The file has findings at error level.
-            UsageError: There is no such file.
+            UsageError: The file does not exist.
         """
         from deepbots_cli.document import descend, load, shipped, to_data
         from deepbots_cli.errors import ScenarioError
@@ -595,7 +603,7 @@ class Scenario(Section):
         return cls.model_validate(data)
 
     def to_yaml(self) -> str:
-        """The scenario as the text of a file; values left to their defaults are left out."""
+        """The scenario as YAML text, without the values that were not set."""
         import yaml
 
         return yaml.safe_dump(self.model_dump(mode="json", exclude_unset=True), sort_keys=False, allow_unicode=True, width=120)

@@ -55,11 +55,11 @@ class Sensor(Section):
     """Parameters of all sensors: timing, noise and range."""
 
     dimension: ClassVar[Dimension] = NUMBER
-    """Of a reading, which is in the SI unit of it."""
+    """Dimension of a reading; readings are in its SI unit."""
     components: ClassVar[Components] = ()
-    """Of a reading; empty for a single value."""
+    """Names of the components of a reading; empty for a single value."""
     interval: ClassVar[Interval] = EVERYTHING
-    """In which the readings of a sensor without faults lie."""
+    """Interval of the readings of a sensor without faults."""
     boolean: ClassVar[bool] = False
     """Whether a reading is true or false."""
     reader: ClassVar[str] = ""
@@ -77,30 +77,30 @@ class Sensor(Section):
     period: Timestep | None = None
     """Time between two readings, a multiple of the timestep; by default one timestep."""
     latency: RandomizableDelay = "0 ms"
-    """Age of a reading when the robot gets it."""
+    """Time from the measurement until the robot gets the reading."""
     noise: Annotated[Scalar, Quantity("reading", known="episode", minimum=0, relative=True)] = 0
-    """Standard deviation of each reading: in the unit of the sensor, or as `2 %` of the value."""
+    """Standard deviation of the noise on each reading: in the unit of the sensor, or as `2 %` of the value."""
     bias: Annotated[Scalar, Quantity("reading", known="episode", relative=True)] = 0
-    """Constant error in an episode."""
+    """Constant offset of all readings of an episode: in the unit of the sensor, or `2 %` for a fraction of the value."""
     drift: Annotated[Scalar, Quantity("any", known="episode")] = 0
     """Growth of the bias per second."""
     resolution: Annotated[Scalar, Quantity("reading", minimum=0)] = 0
     """Smallest difference between two readings; readings are rounded to a multiple of it."""
     range: Annotated[str, Range("reading")] | None = None
-    """Measurable range; readings are clipped to it."""
+    """Range of the sensor; deepbots clips readings to it."""
 
 
 class JointSensor(Sensor):
-    """Reads one joint, or several under their names."""
+    """Measures one joint, or several joints by name."""
 
     sliding: ClassVar[Dimension] = NUMBER
-    """The dimension of a reading where the joint slides; `dimension` is that where it turns."""
+    """Dimension of a reading of a prismatic joint; `dimension` is that of a revolute joint."""
     key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("joint", "joints"), min=1),)
 
     joint: JointName | None = None
-    """The joint that it reads."""
+    """The joint that the sensor measures."""
     joints: JointNames | None = None
-    """The joints that it reads: names, patterns such as `wheel_*`, or a group."""
+    """The joints that the sensor measures: names, patterns such as `wheel_*`, or a group."""
 
     @classmethod
     def dimension_of(cls, joint: Joint) -> Dimension:
@@ -109,12 +109,12 @@ class JointSensor(Sensor):
 
     @classmethod
     def interval_of(cls, limits: Interval) -> Interval:
-        """Where readings lie, for joints whose positions lie within `limits`."""
+        """Interval of the readings, for joints whose positions are within `limits`."""
         return cls.interval
 
 
 class JointPosition(JointSensor):
-    """The angle of a joint, or how far it has slid."""
+    """The angle of a revolute joint, or the position of a prismatic joint."""
 
     dimension = ANGLE
     sliding = LENGTH
@@ -129,7 +129,7 @@ class JointPosition(JointSensor):
 
 
 class JointVelocity(JointSensor):
-    """How fast a joint turns or slides."""
+    """The angular velocity of a revolute joint, or the velocity of a prismatic joint."""
 
     dimension = ANGULAR_VELOCITY
     sliding = SPEED
@@ -151,16 +151,16 @@ class JointTorque(JointSensor):
 
 
 class LinkSensor(Sensor):
-    """Is mounted on one link."""
+    """A sensor that is mounted on one link."""
 
     link: LinkName
     """The link on which the sensor is mounted."""
     pose: SensorFrame = Field(default_factory=SensorFrame)
-    """Position and attitude of the sensor on the link."""
+    """Pose of the sensor in the frame of the link."""
 
 
 class Gyro(LinkSensor):
-    """Angular velocity about its own axes, x y z."""
+    """Angular velocity about the axes of the sensor, x y z."""
 
     dimension = ANGULAR_VELOCITY
     components = SPACE
@@ -170,7 +170,7 @@ class Gyro(LinkSensor):
 
 
 class Accelerometer(LinkSensor):
-    """Proper acceleration along its own axes, x y z: 9.81 m/s^2 upwards at rest."""
+    """Proper acceleration along the axes of the sensor, x y z: 9.81 m/s^2 upwards at rest."""
 
     dimension = ACCELERATION
     components = SPACE
@@ -180,7 +180,7 @@ class Accelerometer(LinkSensor):
 
 
 class ProjectedGravity(LinkSensor):
-    """The direction of gravity along its own axes, x y z, of length 1."""
+    """Direction of gravity along the axes of the sensor, x y z, as a vector of length 1."""
 
     components = SPACE
     interval = iv.SIGNED_UNIT
@@ -190,7 +190,7 @@ class ProjectedGravity(LinkSensor):
 
 
 class Compass(LinkSensor):
-    """The angle in the plane from x of the world to x of the sensor."""
+    """Horizontal angle from the x axis of the world to the x axis of the sensor."""
 
     dimension = ANGLE
     interval = iv.TURN
@@ -222,7 +222,7 @@ class Velocity(LinkSensor):
 
 
 class Orientation(LinkSensor):
-    """The quaternion from its axes to those of the world, x y z w."""
+    """Orientation of the sensor in the world as a quaternion, x y z w."""
 
     components = QUATERNION
     interval = iv.SIGNED_UNIT
@@ -244,7 +244,7 @@ class AngularVelocity(LinkSensor):
 
 
 class ContactSensor(Sensor):
-    """Measures contacts of one link, or of several under their names."""
+    """Measures contacts of one link, or of several links by name."""
 
     perceives = True
     key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("link", "links"), min=1),)
@@ -263,7 +263,7 @@ class Touch(ContactSensor):
 
     type: Literal["touch"]
     against: Annotated[str | tuple[str, ...], Reference("bodies or links")] | None = None
-    """Counts only contacts with these bodies or links, or with the `ground`."""
+    """Bodies, links or `ground`: contacts with anything else are ignored. By default, all contacts are measured."""
 
 
 class Force(ContactSensor):
@@ -291,53 +291,54 @@ NamedRays = Annotated[dict[LocalName, SensorFrame], Size(1, "ray")]
 
 
 class RayScan(LinkSensor):
-    """Looks along rays: given by name, or as a fan of a number of them."""
+    """Measures along rays: rays with names, or a fan of equally spaced rays."""
 
     rays: Annotated[NamedRays | Annotated[int, WholeNumber(1, 4096)], FORMS] | None = None
-    """Rays by name, each with its frame on the sensor; or the number of rays over `angle_range`, named `r0`, `r1` ...; by default one."""
+    """Rays by name, each with its pose on the sensor, or the number of rays in the fan `angle_range`, named `r0`, `r1`, ...; by default one
+    ray."""
     angle_range: Annotated[str, Range("angle")] | None = None
-    """Yaw of the first and of the last ray, such as `90 .. -90 deg`."""
+    """Yaw of the first and of the last ray of the fan, such as `90 .. -90 deg`."""
 
 
 class RaySensor(RayScan):
-    """Measures the free distance along rays, which point along x of their frames."""
+    """Measures the free distance along rays, which point along the x axes of their frames."""
 
     dimension = LENGTH
     reader = f"{_READERS}:ranging"
     perceives = True
 
     measure: Literal["each", "nearest", "mean"] = "each"
-    """Each ray by its name, or one value for all rays: the nearest distance, or the mean."""
+    """What the sensor returns: `each` ray by its name, the `nearest` distance of all rays, or their `mean`."""
     lookup: CalibrationTable | None = None
     """Table of readings by distance; without it, the reading is the distance."""
 
 
 class Infrared(RaySensor):
-    """Free distance along its rays, or the value of a lookup table for it."""
+    """Free distance along rays, or the value of a lookup table at this distance."""
 
     type: Literal["infrared"]
 
 
 class Sonar(RaySensor):
-    """Free distance along its rays; a cone is a narrow fan with `measure: nearest`."""
+    """Free distance along rays. For a cone, use a narrow fan of rays with `measure: nearest`."""
 
     type: Literal["sonar"]
 
 
 class Laser(RaySensor):
-    """Free distance along its rays; by default one ray along x."""
+    """Free distance along rays; by default one ray along the x axis."""
 
     type: Literal["laser"]
 
 
 class Lidar(RaySensor):
-    """Free distance along its rays, in a fan of many."""
+    """Free distance along the rays of a fan."""
 
     type: Literal["lidar"]
 
 
 class Reflectance(RayScan):
-    """Ground reflectance below the sensor: 1 without paint."""
+    """Reflectance of the ground below the sensor, 0 to 1; it is 1 where nothing is painted."""
 
     interval = Interval(0.0, 1.0)
     reader = f"{_READERS}:reflectance"
@@ -348,7 +349,7 @@ class Reflectance(RayScan):
 
 
 class Camera(LinkSensor):
-    """A picture along x of its frame."""
+    """An image in the direction of the x axis of the sensor."""
 
     reader = f"{_READERS}:camera"
     perceives = True
@@ -357,13 +358,13 @@ class Camera(LinkSensor):
     resolution: Annotated[Scalar, Quantity("number", components=2, minimum=1, maximum=1024, whole=True, example_text="64 48")]
     """Columns and rows, such as `64 48`."""
     fov: Annotated[Scalar, Quantity("angle", minimum=0, exclusive=True)] = "60 deg"
-    """Angle of view from top to bottom."""
+    """Vertical field of view."""
     channels: Literal["rgb", "grayscale", "depth", "segmentation"] = "rgb"
     """Content of a pixel."""
 
 
 BASES = (Sensor, JointSensor, LinkSensor, ContactSensor, Touch, RayScan, RaySensor, Camera)
-"""Classes whose parameters the compiler knows; it passes others to the reader."""
+"""Classes whose parameters the compiler reads; it passes the parameters of other classes to the reader."""
 
 
 def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Sensor]]]:

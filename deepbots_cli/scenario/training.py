@@ -1,4 +1,4 @@
-"""How the policy is trained: one model per algorithm; hyperparameters have the names that Stable-Baselines3 and sb3-contrib give them.
+"""Training of the policy: one model per algorithm, whose hyperparameters have the names of Stable-Baselines3 and sb3-contrib.
 
 A test compares them with the signatures there. Devices, seeds, classes of buffers and loggers are left out; `SET_ELSEWHERE_HELP` says where
 they are set instead.
@@ -22,14 +22,14 @@ StepsOrEpisodes = WholeNumber(
 
 
 class ActionNoise(Section):
-    """Noise on the actions while training."""
+    """Noise on actions during training."""
 
     type: Literal["normal", "ornstein_uhlenbeck"]
-    """Independent (`normal`) or drifting (`ornstein_uhlenbeck`)."""
+    """Kind of noise: independent in each step (`normal`), or correlated in time (`ornstein_uhlenbeck`)."""
     sigma: Schedule
-    """Standard deviation in the agent's [-1, 1], or a schedule such as `0.5 -> 0.1`."""
+    """Standard deviation, where actions are in [-1, 1]: a number, or a schedule such as `0.5 -> 0.1`."""
     theta: Positive = 0.15
-    """How fast drifting noise returns to zero: by the factor `exp(-theta)` in a step."""
+    """How fast Ornstein-Uhlenbeck noise decays: by the factor `exp(-theta)` in each step."""
 
 
 class Hindsight(Section):
@@ -38,9 +38,10 @@ class Hindsight(Section):
     type: Literal["her"]
     """The kind of replay."""
     n_sampled_goal: PositiveInt = 4
-    """Goals that are made up for each step."""
+    """Number of additional transitions with a sampled goal for each real transition."""
     goal_selection_strategy: Literal["future", "final", "episode"] = "future"
-    """Where the sampled goals come from: later in the episode, its end, or anywhere in it."""
+    """Which achieved goals of the same episode are sampled: of this or a later step (`future`), of the last step (`final`), or of any step
+    (`episode`)."""
 
 
 class PolicyNetwork(Section):
@@ -49,7 +50,7 @@ class PolicyNetwork(Section):
     hidden: Many[Annotated[int, WholeNumber(1, 8192)]] = (64, 64)
     """Units of each hidden layer, such as `[64, 64]`."""
     activation: Literal["tanh", "relu", "elu", "leaky_relu", "gelu", "silu"] = "tanh"
-    """Activation between the layers."""
+    """Activation function of the hidden layers."""
 
 
 class Training(Section):
@@ -62,20 +63,21 @@ class Training(Section):
     acts_by: ClassVar[frozenset[Literal["choice", "choices", "ranges"]]] = frozenset({"choice", "choices", "ranges"})
     """The actions that it can take: one choice, several choices, ranges."""
     uses_masks: ClassVar[bool] = False
-    """Whether it takes no choice that `forbid` excludes."""
+    """Whether the policy never takes a choice that `forbid` excludes."""
 
     algorithm: PlainText
     """The learning algorithm."""
     total_timesteps: Annotated[int, WholeNumber(1, 10**12)]
-    """Steps of the agent to train for, summed over all environments."""
+    """Number of steps to train for, summed over all environments."""
     environments: Annotated[int, WholeNumber(1, 1024)] = 1
-    """Copies of the environment that are trained in at once."""
+    """Number of copies of the environment that run at the same time."""
     network: Annotated[PolicyNetwork, InsteadOf("policy")] = Field(default_factory=PolicyNetwork)
     """The network of the policy."""
     normalize: Literal["reward"] | None = None
-    """`reward` divides rewards by a running standard deviation of the return, for learning only; logs show rewards as they are."""
+    """`reward` divides rewards by a running standard deviation of the return, for learning only; logs show the original rewards."""
     device: Literal["auto", "cpu", "cuda"] = "cpu"
-    """Where networks are trained: `cuda` on a GPU, `auto` on a GPU if there is one. Small networks train faster on the CPU."""
+    """Device of the networks during training. `auto` is `cuda` (a GPU) if there is one, otherwise `cpu`. Small networks train faster on the
+    CPU."""
 
     @classmethod
     def hyperparameter_names(cls) -> tuple[str, ...]:
@@ -107,84 +109,84 @@ class _OnPolicy(Training):
     n_steps: PositiveInt | None = None
     """Steps of each environment between two updates."""
     gamma: Fraction | None = None
-    """Discount of later rewards per step, 0 to 1."""
+    """Discount factor of later rewards per step, 0 to 1."""
     gae_lambda: Fraction | None = None
-    """Trade-off of bias and variance of the advantage, 0 to 1."""
+    """Lambda of generalized advantage estimation (GAE), 0 to 1: a trade-off between bias and variance."""
     normalize_advantage: Bool | None = None
     """Whether advantages are normalised."""
     ent_coef: Weight | None = None
-    """Weight of the entropy: higher explores more."""
+    """Weight of the entropy in the loss: a higher weight means more exploration."""
     vf_coef: Weight | None = None
     """Weight of the value function in the loss."""
     max_grad_norm: Positive | None = None
-    """Largest norm of a gradient; larger ones are scaled down."""
+    """Largest norm of a gradient; larger gradients are scaled down."""
     stats_window_size: PositiveInt | None = None
-    """Episodes over which progress is averaged."""
+    """Number of episodes over which the return and length in logs are averaged."""
 
 
 class _Proximal(_OnPolicy):
     batch_size: Annotated[int, WholeNumber(2, 1_000_000_000)] | None = None
     """Samples in one gradient step."""
     n_epochs: PositiveInt | None = None
-    """Passes over the samples of a roll-out."""
+    """Passes over the samples of a rollout."""
     clip_range: Schedule | None = None
-    """How far the policy may change in one update; a number or a schedule."""
+    """Limit on the change of the policy in one update: a number or a schedule."""
     clip_range_vf: Schedule | None = None
-    """How far the value function may change in one update; a number or a schedule."""
+    """Limit on the change of the value function in one update: a number or a schedule."""
     target_kl: Positive | None = None
-    """Stops an update when the policy has changed this much."""
+    """Limit on the KL divergence between the old and the new policy, at which an update stops early."""
 
 
 class _StateDependentExploration(Section):
     use_sde: Bool | None = None
-    """Explore by noise that depends on the state instead of noise per step."""
+    """Whether to explore with noise that depends on the state (gSDE) instead of independent noise in each step."""
     sde_sample_freq: StepsOrAll | None = None
-    """Steps between two draws of that noise; -1 draws once per roll-out."""
+    """Steps between two draws of the noise of `use_sde`; -1 draws once per rollout."""
 
 
 class _OffPolicy(Training):
     learning_rate: Schedule | None = None
     """Learning rate: a number, or a schedule such as `3e-4 -> 0`."""
     buffer_size: PositiveInt | None = None
-    """Steps that are remembered."""
+    """Size of the replay buffer, in steps."""
     learning_starts: Annotated[int, WholeNumber(0, 1_000_000_000)] | None = None
     """Steps before the first update."""
     batch_size: PositiveInt | None = None
     """Samples in one gradient step."""
     tau: Fraction | None = None
-    """Fraction by which the target network follows, 0 to 1."""
+    """Coefficient of the soft update of the target network, 0 to 1; 1 copies the network."""
     gamma: Fraction | None = None
-    """Discount of later rewards per step, 0 to 1."""
+    """Discount factor of later rewards per step, 0 to 1."""
     train_freq: Annotated[str | int, StepsOrEpisodes] | None = None
     """Steps between two updates, or `1 episode`."""
     gradient_steps: StepsOrAll | None = None
-    """Gradient steps in an update; -1 makes as many as steps were taken."""
+    """Gradient steps in an update; -1 makes as many as there were steps since the last update."""
     optimize_memory_usage: Bool | None = None
-    """Keep each observation once instead of twice."""
+    """Whether the replay buffer stores each observation once instead of twice."""
     n_steps: PositiveInt | None = None
-    """Steps over which a return is summed before it is estimated."""
+    """n of n-step returns: number of rewards that are summed before the value estimate is added."""
     replay: Annotated[Hindsight | Literal["uniform", "her"], FORMS] | None = None
-    """How remembered steps are drawn: `uniform`, or `her` for goals."""
+    """How steps are sampled from the replay buffer: `uniform`, or `her` for hindsight experience replay."""
 
 
 class _Deterministic(_OffPolicy):
     acts_by = frozenset({"ranges"})
 
     action_noise: ActionNoise | None = None
-    """Noise on the actions while training."""
+    """Noise on actions during training."""
 
 
 class _SoftActorCritic(_StateDependentExploration, _Deterministic):
     use_sde_at_warmup: Bool | None = None
-    """Use state-dependent noise (`use_sde`) also before learning starts."""
+    """Whether to use state-dependent noise (`use_sde`) also before learning starts."""
     ent_coef: Annotated[Scalar, Number(0, pattern=r"auto(?:_[0-9]+(?:\.[0-9]+)?)?")] | None = None
-    """Weight of the entropy; `auto` learns it, `auto_0.1` begins at 0.1."""
+    """Weight of the entropy in the loss. `auto` learns it; `auto_0.1` learns it from the initial value 0.1."""
     target_update_interval: PositiveInt | None = None
     """Steps between two updates of the target network."""
     target_entropy: Annotated[Scalar, Number(pattern="auto")] | None = None
-    """The entropy that `ent_coef: auto` aims at."""
+    """The entropy to which `ent_coef: auto` adjusts the policy; `auto` is minus the number of action components."""
     stats_window_size: PositiveInt | None = None
-    """Episodes over which progress is averaged."""
+    """Number of episodes over which the return and length in logs are averaged."""
 
 
 class PPO(_StateDependentExploration, _Proximal):
@@ -196,15 +198,15 @@ class PPO(_StateDependentExploration, _Proximal):
 
 
 class A2C(_StateDependentExploration, _OnPolicy):
-    """On-policy; choices or ranges. Plainer than PPO."""
+    """On-policy; choices or ranges. Simpler than PPO."""
 
     import_path = "stable_baselines3:A2C"
 
     algorithm: Literal["A2C"]
     rms_prop_eps: Positive | None = None
-    """Guards RMSprop against division by zero."""
+    """Epsilon of RMSprop, which avoids a division by zero."""
     use_rms_prop: Bool | None = None
-    """RMSprop instead of Adam."""
+    """Whether to use RMSprop instead of Adam."""
 
 
 class DQN(_OffPolicy):
@@ -217,19 +219,19 @@ class DQN(_OffPolicy):
     target_update_interval: PositiveInt | None = None
     """Steps between two updates of the target network."""
     exploration_fraction: Fraction | None = None
-    """Fraction of the training over which exploration goes down."""
+    """Fraction of the training during which the probability of a random action decreases."""
     exploration_initial_eps: Fraction | None = None
-    """Fraction of random actions at the start."""
+    """Initial probability of a random action."""
     exploration_final_eps: Fraction | None = None
-    """Fraction of random actions in the end."""
+    """Final probability of a random action."""
     max_grad_norm: Positive | None = None
-    """Largest norm of a gradient; larger ones are scaled down."""
+    """Largest norm of a gradient; larger gradients are scaled down."""
     stats_window_size: PositiveInt | None = None
-    """Episodes over which progress is averaged."""
+    """Number of episodes over which the return and length in logs are averaged."""
 
 
 class SAC(_SoftActorCritic):
-    """Off-policy; ranges. Explores by entropy."""
+    """Off-policy; ranges. Maximizes return and entropy."""
 
     import_path = "stable_baselines3:SAC"
 
@@ -249,7 +251,7 @@ class TD3(_Deterministic):
     target_noise_clip: Weight | None = None
     """Largest absolute value of the noise of `target_policy_noise`."""
     stats_window_size: PositiveInt | None = None
-    """Episodes over which progress is averaged."""
+    """Number of episodes over which the return and length in logs are averaged."""
 
 
 class DDPG(_Deterministic):
@@ -277,7 +279,7 @@ class RecurrentPPO(_StateDependentExploration, _Proximal):
 
     algorithm: Literal["RecurrentPPO"]
     lstm: Annotated[int, WholeNumber(1, 2048)] | None = None
-    """Units of the memory: an LSTM before the layers of actor and of critic."""
+    """Units of the LSTM layers before the hidden layers of actor and critic."""
 
 
 class TQC(_SoftActorCritic):
@@ -287,7 +289,7 @@ class TQC(_SoftActorCritic):
 
     algorithm: Literal["TQC"]
     top_quantiles_to_drop_per_net: Annotated[int, WholeNumber(0, 1_000_000_000)] | None = None
-    """Highest quantiles to drop, per critic."""
+    """Number of highest quantiles to drop per critic."""
 
 
 def _read(name: str, model: Any) -> Iterator[tuple[str, type[Training]]]:

@@ -1,4 +1,4 @@
-"""The world: time, gravity, ground, arena, walls, terrain, painted lines; poses, and bodies that are no robots."""
+"""The world: time, gravity, ground, arena, walls, terrain, painted lines; poses, and bodies other than robots."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -34,14 +34,14 @@ from deepbots_cli.scenario.fields import (
 
 
 class Ground(Section):
-    """The plane z = 0."""
+    """The ground: the plane z = 0."""
 
     friction: RandomizableFactor = 1.0
     """Coulomb's coefficient of friction."""
     restitution: RandomizableShare = 0
-    """Share of the speed that a bounce keeps, 0 to 1."""
+    """Fraction of the speed that remains after a bounce, 0 to 1."""
     color: Color | None = None
-    """Color in pictures: a word, or `'#rrggbb'`."""
+    """Color in images: a word, or `'#rrggbb'`."""
 
 
 class Arena(Section):
@@ -60,7 +60,7 @@ class Arena(Section):
 
 
 class Wall(Section):
-    """A wall along a line of straight pieces."""
+    """A wall along a polyline."""
 
     points: Annotated[Many[Point], Size(2, "point")]
     """The corners in the ground plane, such as `[0 0 m, 1 0 m]`."""
@@ -71,7 +71,7 @@ class Wall(Section):
     thickness: Thickness = "0.01 m"
     """Thickness, m."""
     friction: RandomizableFactor = 1.0
-    """Friction of its sides."""
+    """Friction of the wall."""
     color: Color | None = None
     """Color of the wall."""
 
@@ -88,11 +88,11 @@ class Line(Section):
     reflectance: Share = 0
     """Reflectance of the paint, 0 (black) to 1 (white)."""
     color: Color = "black"
-    """Color in pictures."""
+    """Color in images."""
 
 
 class Terrain(Section):
-    """Ground that is not flat; heights count from z = 0."""
+    """Ground that is not flat."""
 
     type: PlainText
     """Kind of terrain."""
@@ -107,19 +107,19 @@ class Pit(Terrain):
 
     type: Literal["pit"]
     height: Thickness
-    """Four times the height of the rim above the bottom, m."""
+    """Height factor, m: without `noise`, the rim is a quarter as high as this above the bottom."""
     radius: Thickness | None = None
-    """Radius of the rim, m; 3.18 m unless given."""
+    """Radius of the rim, m; by default 3.18 m."""
     noise: Share = 0
-    """Largest share of the height that random bumps remove; the bumps are the same in every world."""
+    """Unevenness, 0 to 1: random bumps lower each point by at most this fraction of its height. The bumps are the same in every world."""
 
 
 class Heightfield(Terrain):
-    """Heights from a gray picture."""
+    """Heights from a grayscale image."""
 
     type: Literal["heightfield"]
     file: Annotated[str, FilePath("picture")]
-    """The picture; black is low, white is high."""
+    """The image; black is low, white is high."""
     size: Area
     """Size along x and y, m."""
     height: Thickness
@@ -127,11 +127,11 @@ class Heightfield(Terrain):
 
 
 class Formula(Terrain):
-    """Heights as an expression."""
+    """Heights from an expression."""
 
     type: Literal["formula"]
     heights: Annotated[Scalar, Expression("field", boolean=False)]
-    """Height at the place `x`, `y` (lengths), such as `5 cm * sin(x / m * 90 deg)`."""
+    """Height at the point `x`, `y` (lengths), such as `5 cm * sin(x / m * 90 deg)`."""
     size: Area
     """Size along x and y, m."""
 
@@ -141,29 +141,29 @@ class MeshTerrain(Terrain):
 
     type: Literal["mesh"]
     file: MeshFile
-    """The mesh."""
+    """The mesh file."""
     scale: Scale | None = None
-    """Factors along x, y and z."""
+    """Scale factors along x, y and z."""
 
 
 TERRAINS: dict[str, type[Terrain]] = {"pit": Pit, "heightfield": Heightfield, "formula": Formula, "mesh": MeshTerrain}
 
 
 class World(Section):
-    """Time and place of the simulation."""
+    """The simulated world."""
 
     key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("ground", "terrain")),)
 
     timestep: Timestep
-    """Time of one control step: robots sense and act this often, such as `32 ms`."""
+    """Duration of one control step, such as `32 ms`. Robots read their sensors and act once in each timestep."""
     substeps: Annotated[int, WholeNumber(1, 10_000)] = 1
-    """Physics steps in one timestep."""
+    """Number of physics steps in one timestep."""
     engine: Annotated[str, Word(ENGINES)] | None = None
     """Physics engine; by default `pybullet`. `--engine` on the command line overrides it."""
     gravity: Annotated[Scalar, Quantity("acceleration", 3, "episode", example_text="0 0 -9.81 m/s^2")] = "0 0 -9.81 m/s^2"
     """Gravity in the world frame, m/s^2."""
     ground: Ground = Field(default_factory=Ground)
-    """The plane that everything stands on."""
+    """The plane on which bodies stand."""
     arena: Arena | None = None
     """A rectangle of walls around the origin."""
     walls: dict[SharedName, Wall] = {}
@@ -173,7 +173,7 @@ class World(Section):
     lines: dict[SharedName, Line] = {}
     """Lines painted on the ground, by names of your choice."""
     light: RandomizableFactor = 1.0
-    """Brightness of the light in pictures; 1 is normal."""
+    """Brightness of the light in images; 1 is normal."""
 
 
 # Poses
@@ -185,7 +185,7 @@ Angle = Annotated[Scalar, Quantity("angle")]
 
 
 class SensorFrame(Section):
-    """A frame on a link; it is fixed."""
+    """A pose in the frame of a link."""
 
     key_rules: ClassVar[tuple[KeyCount, ...]] = _POSE_KEY_RULES
 
@@ -198,11 +198,11 @@ class SensorFrame(Section):
     xyz: Annotated[Scalar, Quantity("length", components=3)] | None = None
     """All three coordinates at once, such as `30 0 40 mm`."""
     roll: Angle = 0
-    """Turn about x."""
+    """Rotation about x."""
     pitch: Angle = 0
-    """Turn about y."""
+    """Rotation about y."""
     yaw: Angle = 0
-    """Turn about z; left is positive."""
+    """Rotation about z; left is positive."""
     rpy: Annotated[Scalar, Quantity("angle", components=3)] | None = None
     """Roll, pitch and yaw at once, such as `0 0 90 deg`."""
 
@@ -221,11 +221,11 @@ class Pose(Section):
     xyz: Annotated[Scalar, Quantity("length", 3, "episode")] | None = None
     """All three coordinates at once."""
     roll: RandomizableAngle | None = None
-    """Turn about x; `any` draws it from the whole circle."""
+    """Rotation about x; `any` draws it from the full circle."""
     pitch: RandomizableAngle | None = None
-    """Turn about y; `any` draws it from the whole circle."""
+    """Rotation about y; `any` draws it from the full circle."""
     yaw: RandomizableAngle | None = None
-    """Turn about z; `any` draws it from the whole circle."""
+    """Rotation about z; `any` draws it from the full circle."""
     rpy: Annotated[Scalar, Quantity("angle", 3, "episode")] | None = None
     """Roll, pitch and yaw at once."""
 
@@ -237,21 +237,21 @@ class Material(Section):
     """Material of a body; a variant of `one_of` overrides it."""
 
     mass: Annotated[Scalar, Quantity("mass", known="episode", minimum=0, exclusive=True)] | None = None
-    """Mass, kg; by default the mass of water in this shape. A mesh that can move needs a mass."""
+    """Mass, kg. By default, the mass of a body of this shape with the density of water. A mesh that can move requires a mass."""
     color: Color | None = None
     """Color: a word, `'#rrggbb'`, or `choice(red | green)`."""
     friction: RandomizableFactor | None = None
     """Coulomb's coefficient of friction."""
     spinning_friction: RandomizableFactor | None = None
-    """Friction against spinning on the spot."""
+    """Friction against spinning on the spot, in m, written as a plain number."""
     rolling_friction: RandomizableFactor | None = None
-    """Friction against rolling."""
+    """Friction against rolling, in m, written as a plain number."""
     restitution: RandomizableShare | None = None
-    """Share of the speed that a bounce keeps, 0 to 1."""
+    """Fraction of the speed that remains after a bounce, 0 to 1."""
     fixed: Bool | None = None
-    """Whether it never moves; by default false."""
+    """Whether the body is fixed to the world; by default `false`."""
     solid: Bool | None = None
-    """Whether it collides; `false` makes a mark that is only visible."""
+    """Whether the body collides; by default `true`. `false` makes a marker without collisions."""
 
 
 class ShapedBody(Material):
@@ -288,13 +288,13 @@ class Cylinder(ShapedBody):
 
 
 class Capsule(ShapedBody):
-    """A cylinder along z with half a ball on either end."""
+    """A cylinder along z with a hemisphere on each end."""
 
     shape: Literal["capsule"]
     radius: Thickness
     """Radius, m."""
     height: Thickness
-    """Height of the cylinder between the half balls, m."""
+    """Height of the cylinder between the hemispheres, m."""
 
 
 class Mesh(ShapedBody):
@@ -302,9 +302,9 @@ class Mesh(ShapedBody):
 
     shape: Literal["mesh"]
     file: MeshFile
-    """The mesh."""
+    """The mesh file."""
     scale: Scale | None = None
-    """Factors along x, y and z."""
+    """Scale factors along x, y and z."""
 
 
 SHAPES: dict[str, type[ShapedBody]] = {"box": Box, "sphere": Sphere, "cylinder": Cylinder, "capsule": Capsule, "mesh": Mesh}
@@ -314,9 +314,9 @@ class PlacedBody(Section):
     """Pose and number of copies of an object."""
 
     pose: Pose = Field(default_factory=Pose)
-    """Where it stands unless `reset` places it."""
+    """Start pose of the object, unless `reset` places it."""
     count: RandomizableCount = 1
-    """Number of copies; the name then stands for the group."""
+    """Number of copies. With more than one, the name refers to the group of all copies."""
 
 
 class BoxObject(PlacedBody, Box):
@@ -340,10 +340,10 @@ class MeshObject(PlacedBody, Mesh):
 
 
 class VariedObject(PlacedBody, Material):
-    """Copies of different shapes: each is drawn from the variants."""
+    """Copies of different shapes, which are drawn from variants."""
 
     one_of: Annotated[dict[LocalName, Annotated[ShapedBody, Kinds("shape", SHAPES)]], Size(1, "variant")]
-    """The variants that each copy is drawn from, by names of your choice."""
+    """Variants by names of your choice; deepbots draws one of them for each copy."""
 
 
 OBJECTS: dict[str, type[PlacedBody]] = {

@@ -120,7 +120,10 @@ def test_a_key_that_tells_the_kind_lists_the_kinds(deepbots):
 @pytest.mark.parametrize(
     ("word", "said"),
     [
-        ("gyro", "gyro: a type of `robots.<name>.sensors.<name>` Angular velocity about its own axes, x y z. Required keys: link."),
+        (
+            "gyro",
+            "gyro: a type of `robots.<name>.sensors.<name>` Angular velocity about the axes of the sensor, x y z. Required keys: link.",
+        ),
         ("thrust", "Required keys: range."),
         ("PPO", "PPO: an algorithm of `train`"),
         ("cylinder", "cylinder: a shape of `objects.<name>`"),

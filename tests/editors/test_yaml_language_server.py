@@ -135,11 +135,11 @@ def test_names_of_the_scenario_are_offered_where_they_may_stand(typed_for: Type,
 @pytest.mark.parametrize(
     ("old", "new", "shown"),
     [
-        ("timestep:", "time§step:", ["Time of one control step", "Unit: s", "Required", "Example: timestep: 32 ms"]),
+        ("timestep:", "time§step:", ["Duration of one control step", "Unit: s", "Required", "Example: timestep: 32 ms"]),
         ("wall_height:", "wall§_height:", ["Height of the walls", "Unit: m", "Default: 0", "20 cm"]),
-        ("gae_lambda:", "gae§_lambda:", ["Trade-off of bias and variance", "Example: gae"]),
+        ("gae_lambda:", "gae§_lambda:", ["trade-off between bias and variance", "Example: gae"]),
         ("  alive: 1", "  al§ive: 1", ["Terms of the reward"]),
-        ("pole_angle: {", "pole§_angle: {", ["Reads one joint, or several under their names."]),
+        ("pole_angle: {", "pole§_angle: {", ["Measures one joint, or several joints by name."]),
     ],
     ids=["a key", "a key with a default", "a key of a kind", "a name of one's own", "a part of a kind"],
 )
@@ -157,7 +157,7 @@ def test_the_kinds_are_explained(typed: Type) -> None:
 
 def test_the_joints_of_the_robot_are_explained(typed_for: Type) -> None:
     hover = typed_for("joint: pole_hinge", "joint: pole§_hinge").hover
-    assert "The joint that it reads." in hover
+    assert "The joint that the sensor measures." in hover
     assert "* `pole_hinge`: revolute, -1." in hover
     assert "* `wheel_rear_left`: continuous" in hover
 

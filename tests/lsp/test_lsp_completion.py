@@ -127,7 +127,7 @@ def test_an_item_says_what_it_is_and_writes_no_more_than_is_missing(client, pit)
     items = client.ask("completion", pit, "times¦tep: 32 ms")["items"]
     (timestep,) = [item for item in items if item["label"] == "timestep"]
     assert "duration" in timestep["detail"]
-    assert "Time of one control step" in timestep["documentation"]["value"]
+    assert "Duration of one control step" in timestep["documentation"]["value"]
     assert "timestep: 32 ms" in timestep["documentation"]["value"]
     assert timestep["textEdit"]["newText"] == "timestep"
     assert edited(client.texts[pit], [timestep["textEdit"]]) == client.texts[pit].replace("timestep: 32", "timesteptep: 32")

@@ -24,7 +24,7 @@ FAULTS = [
     # missing keys
     ("deepbots: 1\n", "", "DB102", "name: CartPole", "missing key `deepbots` at the top level", "version"),
     ("reward:\n  alive: 1\n", "", "DB102", "deepbots: 1", "missing key `reward` at the top level", "terms of the reward"),
-    ("  timestep: 32 ms\n", "", "DB102", "world", "missing key `timestep` in `world`", "time of one control step"),
+    ("  timestep: 32 ms\n", "", "DB102", "world", "missing key `timestep` in `world`", "duration of one control step"),
     ("type: joint_position, ", "", "DB102", "pole_angle", "missing key `type` in `pole_angle`", "`gyro`"),
     ("joints: [wheel_*], ", "", "DB102", "wheels", "missing key `joint` or `joints` in `wheels`", "write one"),
     ("{max_steps: 200}", "{}", "DB102", "truncation", "missing key `max_steps` or `max_time` in `truncation`", "write one"),

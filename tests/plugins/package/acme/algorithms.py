@@ -11,7 +11,7 @@ class GentlePPO(PPO):
 
     algorithm: Literal["GentlePPO"]
     n_epochs: PositiveInt | None = 3
-    """Passes over the samples of a roll-out."""
+    """Passes over the samples of a rollout."""
 
 
 class ChoicePPO(PPO):
