@@ -1,10 +1,10 @@
-"""The bundle of an exported policy: its graphs, a card that says what they take and return, and whether it fits a scenario.
+"""The bundle of an exported policy: its graphs, a card that describes their inputs and outputs, and whether it fits a scenario.
 
 policy.onnx       the observation of the environment in, its action out
 policy_si.onnx    the same observation in SI units in, commands in SI units out
 card.json         names, units, ranges and rates, the result with its interval, versions
 README.md         the same for people
-scenario.yaml     what the names mean, with its robot files in the folder inputs
+scenario.yaml     the scenario, which defines the names; its robot files are in the folder inputs
 """
 
 from __future__ import annotations
@@ -210,12 +210,12 @@ def read_card(folder: Path) -> Card:
 
 
 def remarks(card: Card, program: Program, diff: str) -> list[str]:
-    """What differs although the policy fits, a sentence each; `diff` is the command that shows all differences."""
+    """Differences of a scenario that the policy fits, one sentence each; `diff` is the command that shows all differences."""
     found = []
     if not math.isclose(card.control_period_s, program.period):
         found.append(
-            f"the policy acted every {card.control_period_s:g} s in its training, the scenario takes an action every {program.period:g} s"
+            f"the policy was trained with an action every {card.control_period_s:g} s, but the scenario has one every {program.period:g} s"
         )
     if card.task_digest != identity.task_digest(program):
-        found.append(f"rewards, endings, starts or the world differ from those of the training; to see them: {diff}")
+        found.append(f"rewards, endings, starts or the world differ from the training; to see the differences, run: {diff}")
     return found

@@ -1,4 +1,4 @@
-"""The table of causes why a training does not learn, each with its evidence and what to try.
+"""The table of reasons why a policy does not learn, each with its evidence and advice.
 
 A row finds its evidence in the logs or in the short episodes, or does not apply. `likelihood` orders the rows: what was seen to make
 learning impossible comes before what often does, and both before what may only be a symptom. A training that solves its task has none.
@@ -116,7 +116,7 @@ def has_learned(t: TrainingEvidence) -> Literal["exploring", "evaluated"] | None
 def ending_at_reset(t: TrainingEvidence) -> Numbers | None:
     """An episode cannot start after {steps} steps of training: {error}.
 
-    Try: Change the start under `reset` or the bound of the ending. `deepbots lint --deep SCENARIO` counts the starts that end at once.
+    Try: Change the start under `reset` or the threshold of the ending. `deepbots lint --deep SCENARIO` counts the starts that end at once.
     """
     return {"likelihood": 1.0, "steps": t.steps, "error": t.failure.rstrip(".")} if _AT_RESET in t.failure else None
 
@@ -124,21 +124,20 @@ def ending_at_reset(t: TrainingEvidence) -> Numbers | None:
 def not_finite(t: TrainingEvidence) -> Numbers | None:
     """The training stopped with an error after {steps} steps: {error}.
 
-    Try: Keep arguments of sqrt, log and divisions away from 0 with max(...), or lower `train.learning_rate`; explain the episode with
-    `deepbots diagnose RUN/failures/NNNN.json`.
+    Try: Use max(...) to keep divisors and arguments of sqrt and log above 0, or lower `train.learning_rate`. `deepbots diagnose
+    RUN/failures/NNNN.json` explains the episode.
     """
     if not t.has_failed or _AT_RESET in t.failure:
         return None
-    reason = t.failure.rstrip(".") or "the last entry of its log is no number"
+    reason = t.failure.rstrip(".") or "the last value in its log is not a number (NaN)"
     return {"likelihood": 1.0, "steps": t.steps, "error": reason, "episodes": len(t.episodes)}
 
 
 def action_without_effect(t: TrainingEvidence) -> Numbers | None:
-    """{count} of {of} parts of the action do nothing ({parts}): from the same start, all their values lead to the same observations for
-    {steps} steps.
+    """{count} of {of} action parts have no effect ({parts}): from the same start, all tested values give the same observations for {steps}
+    steps.
 
-    Try: Look at `apply` of the robot, at the limits of its motors (`deepbots inspect RUN`), and at the wheels or joints that it
-    drives.
+    Try: Check `apply` of the robot, the limits of its motors (`deepbots inspect RUN`), and the wheels or joints that it drives.
     """
     own = [place for place, number in enumerate(t.program.agent.numbers) if number.name != "previous_action"]
     dead, steps = [], 0
@@ -163,11 +162,11 @@ def _difference(one: Trace, other: Trace, numbers: Sequence[int]) -> float:
 
 
 def ending_at_once(t: TrainingEvidence) -> Numbers | None:
-    """Episodes end before the policy can do anything: '{ending}' ends {share} of them, half within {length} and 90% within {long} of
-    {longest} steps.
+    """Episodes end before the policy can act: '{ending}' ends {share} of them. Half of all episodes end within {length} steps and 90%
+    within {long}, of {longest} possible steps.
 
-    Try: Loosen the bound of '{ending}', or start farther away from it: `deepbots diagnose RUN --episode failed` shows the value and
-    the bound.
+    Try: Loosen the threshold of '{ending}', or start farther away from it: `deepbots diagnose RUN --episode failed` shows the value and
+    the threshold.
     """
     lengths, longest = t.episodes.lengths, t.program.truncation.max_episode_steps(t.program.period)
     if len(lengths) < MIN_EPISODES:
@@ -180,7 +179,7 @@ def ending_at_once(t: TrainingEvidence) -> Numbers | None:
 
 
 def lint_warns(t: TrainingEvidence) -> Numbers | None:
-    """Lint has {count} about the scenario: {findings}.
+    """Lint reports {count} for the scenario: {findings}.
 
     Try: Run `deepbots lint {path}`: it shows the lines and what to write instead.
     """
@@ -199,17 +198,17 @@ def lint_warns(t: TrainingEvidence) -> Numbers | None:
 def sensor_without_reading(t: TrainingEvidence) -> Numbers | None:
     """{count} of {of} numbers of the observation never changed in {moments} moments ({values}): {guess}.
 
-    Try: Look at what they measure: `deepbots view RUN` draws the rays of sensors. Check that their place and direction are right, and that
-    something is in their range; or leave them out of `observation`.
+    Try: Check the position and direction of these sensors, and that something is in their range: `deepbots view RUN` draws the rays of
+    sensors. Or remove the values from `observation`.
     """
     spans = _spans(t)
     still = [name for name, (span, _) in spans.items() if span < _SAME_TOLERANCE]
     if not still:
         return None
     at_end = [name for name in still if abs(spans[name][1]) > 1 - _SAME_TOLERANCE]
-    guess = "sensors that saw nothing, or values that nothing moves"
+    guess = "these sensors detect nothing, or nothing changes these values"
     if len(at_end) == len(still):
-        guess = "they are always at an end of their range, as the readings of a sensor that sees nothing"
+        guess = "they are always at an end of their range, like a sensor that detects nothing"
     share = len(still) / len(spans)
     values = list_text([f"{name} always {_unscaled(t, name, spans[name][1])}" for name in still])
     return {"likelihood": 0.95 if share >= 0.75 else 0.35 * share, "count": len(still), "of": len(spans), "moments": t.probe_moments,
@@ -237,8 +236,8 @@ def _unscaled(t: TrainingEvidence, name: str, value: float) -> str:
 
 
 def constant_observation(t: TrainingEvidence) -> Numbers | None:
-    """{count} of {of} numbers of the observation hardly change ({names}): in {moments} moments they move by at most {span} of a range of
-    2.
+    """{count} of {of} numbers of the observation hardly change ({names}): in {moments} moments, after mapping to [-1, 1], they vary by at
+    most {span}.
 
     Try: Narrow their ranges under `observation` to the values that occur: `deepbots inspect RUN` lists the ranges.
     """
@@ -252,10 +251,10 @@ def constant_observation(t: TrainingEvidence) -> Numbers | None:
 
 
 def saturated_observation(t: TrainingEvidence) -> Numbers | None:
-    """{count} of {of} numbers of the observation lie beyond an end of their range in {share} of the moments ({names}); the values that
-    are cut off differ by up to {lost} times the range.
+    """{count} of {of} numbers of the observation are outside their range in {share} of the moments ({names}). The clipped values differ by
+    up to {lost} times the range.
 
-    Try: Widen their ranges under `observation`: beyond the ends the policy cannot tell values apart.
+    Try: Widen their ranges under `observation`: the policy cannot distinguish values outside a range.
     """
     if t.probe_moments < 2 * MIN_EPISODES:
         return None
@@ -292,8 +291,8 @@ def _spread(values: Array) -> float:
 
 
 def learning_rate_too_high(t: TrainingEvidence) -> Numbers | None:
-    """The learning rate is {rate}, {times} times the usual {usual}: up to {clipped} of an update is clipped, the largest KL divergence is
-    {kl}, and the mean return goes from {first} to {last}.
+    """The learning rate is {rate}, {times} times the usual {usual}: up to {clipped} of the samples of an update are clipped, the largest KL
+    divergence is {kl}, and the mean return went from {first} to {last}.
 
     Try: Set `train.learning_rate` to {usual}.
     """
@@ -312,26 +311,28 @@ def learning_rate_too_high(t: TrainingEvidence) -> Numbers | None:
 
 
 def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
-    """Without exploration, the policy succeeds in {without} of its last evaluations{where}. With exploration, it succeeds in {with} at the
-    end of the training. The exploration prevents the success.
+    """Without exploration, the policy succeeds in {without} in its last evaluations{where}. With exploration, it succeeds in {with} at the
+    end of the training. Exploration prevents success.
 
-    Try: {remedy}, or loosen what the success requires. The policy is good as it is: `deepbots view`, `eval` and `export` do not explore.
+    Try: {remedy}, or loosen the condition for success. You can already use the policy: `deepbots view`, `eval` and `export` run it without
+    exploration.
     """
     found, until = hides_success(t), criterion(t)
     if found is None:
         return None
     counts = until is not None and until.episodes is not None and until.metric != "steps"
-    by_evaluation = ["let the next stage begin by evaluations, with `in evaluation` in its `until`"] if counts else []
-    remedy = " and ".join([*by_evaluation, *_exploration_changes(t, 0.1)]) or "shorten the time that the success has to last"
+    by_evaluation = ["let evaluations end the stage, with `in evaluation` in its `until`"] if counts else []
+    shorten = "shorten the time for which the success condition must be true"
+    remedy = " and ".join([*by_evaluation, *_exploration_changes(t, 0.1)]) or shorten
     return {"likelihood": 0.94, "without": found[0], "with": found[1], "where": f" in stage '{t.stage}'" if t.stage else "",
             "remedy": _sentence(remedy)}  # fmt: skip
 
 
 def exploration_delays_stage(t: TrainingEvidence) -> Numbers | None:
-    """Stage '{stage}' went on for {delay} steps after its evaluations had reached {criterion}, because exploration kept the episodes of
-    the training below it. Without exploration, the policy succeeds in {success} of these evaluations.
+    """Stage '{stage}' continued for {delay} steps after its evaluations reached {criterion}, because training episodes with exploration
+    stayed below it. In these evaluations, without exploration, the policy succeeds in {success}.
 
-    Try: Let the next stage begin by evaluations, with `in evaluation` in its `until`.
+    Try: Let evaluations end the stage, with `in evaluation` in its `until`.
     """
     worst: dict[str, Any] = {}
     for place, stage in enumerate(t.stages[: t.stage_index]):
@@ -373,8 +374,8 @@ def _exploration_changes(t: TrainingEvidence, factor: float) -> list[str]:
 
 
 def exploration_too_large(t: TrainingEvidence) -> Numbers | None:
-    """The policy is still random: after {updates} updates its entropy is {entropy}, {share} of that at the start, with `ent_coef`
-    {weight}. Its late training episodes have a mean return of {late}{evaluated}.
+    """The policy is still random: after {updates} updates it has {share} of its initial randomness (entropy {entropy}), with `ent_coef`
+    {weight}. The mean return of late training episodes is {late}{evaluated}.
 
     Try: Lower `train.ent_coef` from {weight} to {wanted}.
     """
@@ -389,7 +390,7 @@ def exploration_too_large(t: TrainingEvidence) -> Numbers | None:
     last = fmean(t.evaluations[-1]["returns"]) if t.evaluations else None
     return {"likelihood": 0.93 if weight >= 0.1 else 0.5, "weight": weight, "entropy": late, "share": Percentage(share),
             "updates": len(entropy), "late": float(t.episodes_between(0.75, 1.0).returns.mean()), "last_evaluation": last,
-            "evaluated": "" if last is None else f", and the last evaluation, without exploration, one of {last:.3g}",
+            "evaluated": "" if last is None else f", and that of the last evaluation, without exploration, {last:.3g}",
             "wanted": min(0.01, 0.1 * weight)}  # fmt: skip
 
 
@@ -400,7 +401,7 @@ def _random_entropy(t: TrainingEvidence) -> float | None:
 
 
 def exploration_collapsed(t: TrainingEvidence) -> Numbers | None:
-    """The policy hardly explores: {measure} is {value} after {steps} steps, and below {least} it finds little new.
+    """The policy hardly explores: {measure} is {value} after {steps} steps. Below {least}, a policy finds hardly anything new.
 
     Try: {remedy}.
     """
@@ -423,7 +424,7 @@ def exploration_collapsed(t: TrainingEvidence) -> Numbers | None:
 def one_ending(t: TrainingEvidence) -> Numbers | None:
     """'{ending}' ends {share} of the last {episodes} episodes, after {length} steps on average.
 
-    Try: Run `deepbots diagnose RUN --episode failed`: it shows the value and the bound of this ending in one of them.
+    Try: Run `deepbots diagnose RUN --episode failed`: it shows the value and the threshold of this ending in one of these episodes.
     """
     late = t.episodes_between(0.75, 1.0)
     if len(late) < MIN_EPISODES:
@@ -436,7 +437,7 @@ def one_ending(t: TrainingEvidence) -> Numbers | None:
 
 
 def too_few_steps(t: TrainingEvidence) -> Numbers | None:
-    """{finding}, after {steps} steps and {episodes} episodes; the scenario plans {planned} steps.
+    """{finding}. The training has made {steps} steps in {episodes} episodes; the scenario sets {planned} steps.
 
     Try: {advice}
     """
@@ -456,7 +457,7 @@ def too_few_steps(t: TrainingEvidence) -> Numbers | None:
 def _length(t: TrainingEvidence) -> dict[str, Any]:
     """How long a training is, and how to train on."""
     more = max(t.planned, longer_goal(t.steps))
-    advice = f"Train on: deepbots train --resume {quote(str(t.run.path))} --timesteps {more:_}"
+    advice = f"Continue the training: deepbots train --resume {quote(str(t.run.path))} --timesteps {more:_}"
     if t.is_running:
         advice = f"Let it run: {t.steps:,} of {t.run.record.total_timesteps:,} steps have been made."
     return {"steps": t.steps, "episodes": len(t.all_episodes), "planned": t.planned, "share": Percentage(t.steps / t.planned), "more": more,

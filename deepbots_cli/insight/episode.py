@@ -69,13 +69,13 @@ def error(trace: Trace) -> Numbers | None:
 
 
 def not_ended(trace: Trace) -> Numbers | None:
-    """The actions of {what} last for {steps} steps ({seconds}), and the episode does not end in them."""
+    """The actions of {what} end after {steps} steps ({seconds}), but the episode has not ended."""
     found = {"what": trace.title, "steps": trace.steps, "seconds": _seconds(trace.time)}
     return found if trace.outcome == "not ended" else None
 
 
 def margin(trace: Trace) -> Numbers | None:
-    """{side} was {shown}: {by} {where} the bound of {limit}."""
+    """{side} was {shown}: {by} {where} the threshold of {limit}."""
     end = trace.end
     if end is None or end.margin is None or end.bound is None:
         return None
@@ -87,7 +87,7 @@ def margin(trace: Trace) -> Numbers | None:
 
 
 def truth_ending(trace: Trace) -> Numbers | None:
-    """`{condition}` became {truth} in step {step}; it is a truth value, so 0 or 1 and without a margin."""
+    """`{condition}` became {truth} in step {step}. It is true or false, so there is no margin."""
     end = trace.end
     if end is None or end.bound is not None:
         return None
@@ -105,7 +105,7 @@ def truncation_limit(trace: Trace) -> Numbers | None:
 
 
 def approach(trace: Trace) -> Numbers | None:
-    """From {seconds} (step {step}, {side} = {from}) on, it came nearer to the bound in each of {steps} steps."""
+    """Starting at {seconds} (step {step}, {side} = {from}), it came nearer to the threshold in each of the last {steps} steps."""
     if trace.end is None or trace.end.bound is None:
         return None
     leaf = trace.end.condition
@@ -121,7 +121,7 @@ def approach(trace: Trace) -> Numbers | None:
 
 
 def nearest(trace: Trace) -> Numbers | None:
-    """'{ending}' needs {needed}; {best}, at {seconds} (step {step})."""
+    """'{ending}' requires {needed}; {best}, at {seconds} (step {step})."""
     name, condition = _missed(trace)
     if condition is None or not any(leaf.bound is not None for leaf in comparisons_in(condition)):
         return None
@@ -135,10 +135,10 @@ def nearest(trace: Trace) -> Numbers | None:
     beside = [step for step, leaves in enumerate(missing) if len(leaves) == fewest and leaf in leaves]
     step, found = _nearest(trace, leaf, () if never else beside)
     limit, value = (quantity_text(number or 0.0, leaf.unit) for number in (found.bound, found.value))
-    others = "" if never or fewest > 1 else "while the others held, "
+    others = "" if never or fewest > 1 else "while the other conditions were true, "
     negated = leaf.operator == "not_equal"
     if leaf.bound is not None:
-        needed, best = f"{leaf.sides[0]} {SIGN_OF_OPERATOR[leaf.operator]} {limit}", f"{others}the nearest was {value}"
+        needed, best = f"{leaf.sides[0]} {SIGN_OF_OPERATOR[leaf.operator]} {limit}", f"{others}the nearest value was {value}"
     else:
         needed, best = f"`{leaf.text}` {'false' if negated else 'true'}", f"{others}it was {'true' if negated else 'false'}"
     return {**found.as_json(), "ending": name, "needed": needed, "step": step, "best": best, "seconds": _seconds(trace.time_at(step))}
@@ -158,9 +158,9 @@ def conditions(trace: Trace) -> Numbers | None:
         step, best = _nearest(trace, leaf, beside)
         found.append({**best.as_json(), "step": step, "time": trace.time_at(step), "steps": steps, "beside_others": bool(beside)})
         value, bound = quantity_text(best.value, leaf.unit), quantity_text(best.bound or 0.0, leaf.unit)
-        came = f"came to {value} of {bound} at {_seconds(trace.time_at(step))}"
-        came = f" and{', while the others held,' if beside and len(inner) > 1 else ''} {came}" if leaf.bound else ""
-        said.append(f"`{leaf.text}` held in {steps} of {len(trace.values)} moments{came}")
+        during = " while the others were true" if beside and len(inner) > 1 else ""
+        came = f" (nearest value{during}: {value} at {_seconds(trace.time_at(step))}, threshold {bound})" if leaf.bound else ""
+        said.append(f"`{leaf.text}` was true in {steps} of {len(trace.values)} moments{came}")
     return {"ending": name, "conditions": found, "parts": "; ".join(said)}
 
 
@@ -182,7 +182,7 @@ def _nearest(trace: Trace, leaf: Comparison, moments: Sequence[int] = ()) -> tup
 
 
 def terms(trace: Trace) -> Numbers | None:
-    """The return of {total} is made of {parts}; shares are of the absolute values."""
+    """The return is {total}: {parts}. Percentages are shares of the sum of absolute values."""
     if not trace.steps:
         return None
     sums = {name: float(np.nansum(values)) for name, values in trace.terms.items()}
@@ -193,7 +193,7 @@ def terms(trace: Trace) -> Numbers | None:
 
 
 def concentrated_rewards(trace: Trace) -> Numbers | None:
-    """At least 80% of a large reward term arose in a part of the episode: {parts}."""
+    """At least 80% of a large reward term came from a part of the episode: {parts}."""
     whole, found = sum(abs(float(np.nansum(values))) for values in trace.terms.values()), {}
     for name, values in trace.terms.items():
         total = float(np.nansum(values))
@@ -218,7 +218,7 @@ def critic(trace: Trace) -> Numbers | None:
 
 
 def unforeseen(trace: Trace) -> Numbers | None:
-    """The critic did not foresee this failure: its value fell in none of {steps} steps, and rose from {first} to {last}."""
+    """The critic did not predict this failure: its value did not fall in any of {steps} steps, and rose from {first} to {last}."""
     known = trace.critic
     if trace.outcome != "failure" or known is None or len(known) < 2 or np.diff(known).min() < 0:
         return None
@@ -226,14 +226,14 @@ def unforeseen(trace: Trace) -> Numbers | None:
 
 
 def saturation(trace: Trace) -> Numbers | None:
-    """Observations at an end of their range, as a share of steps: {parts}."""
+    """Observations at an end of their range, as a fraction of steps: {parts}."""
     numbers = trace.program.agent.numbers
     at_end = (np.abs(trace.observations) >= 1.0).mean(axis=0)
     return _shares({n.full_name: float(at_end[place]) for place, n in enumerate(numbers) if n.clip and not n.is_truth})
 
 
 def action_limits(trace: Trace) -> Numbers | None:
-    """Actions at a limit of their range, as a share of steps: {parts}."""
+    """Actions at an end of their range, as a fraction of steps: {parts}."""
     at_limit = np.abs(trace.action_array("ranges")) >= 0.999
     return _shares({name: float(at_limit[:, place].mean()) for place, name in enumerate(trace.program.agent.range_names) if trace.steps})
 
@@ -246,7 +246,7 @@ def _shares(found: Mapping[str, float]) -> Numbers | None:
 
 
 def choices(trace: Trace) -> Numbers | None:
-    """Actions, as a share of steps: {parts}."""
+    """Actions, as a fraction of steps: {parts}."""
     parts = trace.program.agent.choices
     if not parts or not trace.steps:
         return None
@@ -257,7 +257,7 @@ def choices(trace: Trace) -> Numbers | None:
 
 
 def further_endings(trace: Trace) -> Numbers | None:
-    """{count} further ending held in step {step} too: {names}."""
+    """Further endings that were also true in step {step} ({count}): {names}."""
     held = [
         name for name, condition in trace.instrumented.conditions.items() if condition is not None and holds(condition, trace.values[-1])
     ]
@@ -269,4 +269,4 @@ ROWS: tuple[StatementRule[Trace], ...] = (
     ending, error, not_ended, margin, truth_ending, truncation_limit, further_endings, approach, nearest, conditions, terms,
     concentrated_rewards, critic, unforeseen, saturation, choices, action_limits,
 )  # fmt: skip
-"""What is said of an episode, in this order."""
+"""The statements about an episode, in this order."""

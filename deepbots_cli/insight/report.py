@@ -243,7 +243,8 @@ class Report:
         diamond = " The diamond is the evaluation after the training." if any(log.evaluation for log in logs) else ""
         yield "returns", f"{mean}{seeds}{diamond}", figures.returns(logs, theme)
         yield "successes", f"{mean}{seeds}{diamond if defined else ''}", figures.successes(logs, theme)
-        yield "shares", "The absolute sum of each term over an episode, as a share of all.", figures.shares(logs, theme)
+        shares = "Share of each reward term: absolute value of its sum over an episode, relative to all terms."
+        yield "shares", shares, figures.shares(logs, theme)
         yield "endings", f"How episodes of the training end. {mean}", figures.endings(logs, theme)
         colors = "green: success, orange: no success; " if defined else ""
         caption = (

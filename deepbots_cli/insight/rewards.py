@@ -1,4 +1,4 @@
-"""Causes that lie in the reward: terms that pay for something else than the success, or nothing at all."""
+"""Causes in the reward: terms that reward something other than success, or nothing."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ def _per_step(traces: Sequence[Trace]) -> float:
 
 
 def term_dominates(t: TrainingEvidence) -> Numbers | None:
-    """The reward term '{term}' is {share} of the reward: with random actions it gives {mean} a step, and all other terms together {others}.
+    """The reward term '{term}' dominates: it is {share} of the reward. With random actions it gives {mean} per step, and all other terms
+    together give {others}.
 
-    Try: Weaken '{term}' until the other terms outweigh it, such as by a factor of 10.
+    Try: Scale '{term}' down until the other terms outweigh it, for example by a factor of 10.
     """
     names = [term.name for term in t.program.agent.reward]
     sums = {name: float(sum(np.nansum(trace.terms[name]) for trace in t.random)) for name in names}
@@ -48,11 +49,10 @@ def term_dominates(t: TrainingEvidence) -> Numbers | None:
 
 
 def ending_early_pays(t: TrainingEvidence) -> Numbers | None:
-    """It pays to fail early: a step earns {reward} on average, {failed} of the late episodes fail, and the return falls with the length of
-    an episode (correlation {correlation}).{going_on}
+    """Failing early pays: a step earns {reward} on average, {failed} of the late episodes fail, and longer episodes have lower returns
+    (correlation {correlation}).{going_on}
 
-    Try: Let a step that goes well earn a positive reward (check the signs of the terms), or let a failure cost more than the steps
-    that it saves.
+    Try: Make good steps earn a positive reward (check the signs of the terms), or make a failure cost more than the steps that it saves.
     """
     late = t.episodes_between(0.75, 1.0)
     if len(late) < MIN_EPISODES:
@@ -76,17 +76,18 @@ def _going_on(t: TrainingEvidence) -> Numbers:
     if min(len(failed), len(lasted)) < 3:
         return {"going_on": ""}
     fail, last = float(failed.mean()), float(lasted.mean())
-    text, found = f" A failure returns {fail:.3g}, and an episode that lasts until its limit {last:.3g}", {"failing": fail, "lasting": last}
+    text = f" The mean return is {fail:.3g} for a failure, and {last:.3g} for an episode that reaches its limit"
+    found = {"failing": fail, "lasting": last}
     if len(won) and (win := float(won.mean())) > fail > last:
         found |= {"succeeding": win, "break_even": (fail - last) / (win - last)}
-        text += f"; a success returns {win:.3g}, so going on pays only if {found['break_even']:.0%} of such episodes succeed"
+        text += f"; for a success it is {win:.3g}, so continuing pays only if at least {found['break_even']:.0%} of such episodes succeed"
     return {**found, "going_on": f"{text}."}
 
 
 def standing_still_pays(t: TrainingEvidence) -> Numbers | None:
-    """Standing still pays: commanding zeros earns {still} a step, the policy {policy}, and {rate} of the late episodes succeed.
+    """Standing still pays: zero actions earn {still} per step, the policy earns {policy}, and {rate} of the late episodes succeed.
 
-    Try: Reward the way toward the success (such as the change of a distance), and make time cost something instead of earning it.
+    Try: Reward progress towards success (such as the change of a distance), and make each step cost something instead of earning something.
     """
     late = t.episodes_between(0.75, 1.0)
     if not t.idle or not t.program.defines_success or (len(late.successes) and late.successes.mean() >= 0.5):
@@ -100,11 +101,11 @@ def standing_still_pays(t: TrainingEvidence) -> Numbers | None:
 
 
 def loitering(t: TrainingEvidence) -> Numbers | None:
-    """Staying near the success pays more than the success: {share} of the late episodes last until the time limit, and '{term}' pays
-    {per_step} a step over the second half of such episodes, {whole} in an episode of {steps} steps. {compared}
+    """Staying near success pays more than success: {share} of the late episodes reach the time limit. In the second half of such episodes,
+    '{term}' gives {per_step} per step, which is {whole} for {steps} steps. {compared}
 
-    Try: Let '{term}' pay for coming nearer instead of for being near (`delta(...)` of its value), end the episode where it pays, or weaken
-    it until all its steps together earn less than the success.
+    Try: Make '{term}' reward coming nearer instead of being near (`delta(...)` of its value), end the episode where it pays, or scale it
+    down until an episode of it earns less than success.
     """
     if not t.program.defines_success or not t.is_mature or not t.policy:
         return None
@@ -123,7 +124,7 @@ def loitering(t: TrainingEvidence) -> Numbers | None:
     stayed, compared, gained = float(late.returns[at_limit].mean()), "No episode of the training succeeded.", None
     if won.any():
         gained = float(t.episodes.returns[won].mean())
-        compared = f"The {int(won.sum()):,} episodes with a success return {gained:.3g} on average, late ones without it {stayed:.3g}."
+        compared = f"The mean return of {int(won.sum()):,} episodes with success is {gained:.3g}, that of late ones without {stayed:.3g}."
         if won.sum() >= MIN_EPISODES and gained > stayed + 0.1 * abs(stayed):
             return None
     return {"likelihood": 0.935, "share": Percentage(float(at_limit.mean())), "term": name, "per_step": paid[name],
@@ -148,7 +149,7 @@ def _stays_near(trace: Trace) -> bool:
 def reward_apart_from_success(t: TrainingEvidence) -> Numbers | None:
     """A higher return does not mean more success: {how}.{rising}
 
-    Try: Let a success earn more than anything that an episode can collect without it, and weaken the terms that pay for something else.
+    Try: Make a success earn more than an episode without success can collect, and scale down the terms that reward something else.
     """
     if not t.program.defines_success or not t.is_mature:
         return None
@@ -159,12 +160,12 @@ def reward_apart_from_success(t: TrainingEvidence) -> Numbers | None:
         return None
     rates = [SuccessRate(part.successes) for part in (t.episodes_between(0.0, 0.25), t.episodes_between(0.75, 1.0))]
     rise, term = returns_rise(t), _rising_term(t)
-    rising = "" if term is None else f" '{term[0]}' rises most, from {term[1]:.3g} to {term[2]:.3g} an episode."
+    rising = "" if term is None else f" '{term[0]}' rises most, from {term[1]:.3g} to {term[2]:.3g} per episode."
     error = 2 * float(np.hypot(won.std() / np.sqrt(len(won)), lost.std() / np.sqrt(len(lost))))
     numbers = {"return_of_success": float(won.mean()), "return_without": float(lost.mean()), "early": rates[0], "late": rates[1],
                "term": term[0] if term else "", "rising": rising}  # fmt: skip
     if won.mean() < lost.mean() - error:
-        how = f"{len(won):,} episodes with a success return {won.mean():.3g} on average, and {len(lost):,} without it {lost.mean():.3g}"
+        how = f"the mean return is {won.mean():.3g} in {len(won):,} episodes with success, and {lost.mean():.3g} in {len(lost):,} without"
         return {**numbers, "likelihood": 0.925, "how": how}
     falls = rates[1].high < rates[0].low
     flat = plateau(t) is not None and rates[1].rate <= rates[0].rate + 0.03 and hides_success(t) is None

@@ -1,4 +1,4 @@
-"""Causes that lie in the stage of a curriculum, in the starts of its episodes, or in a success that does not come."""
+"""Causes in the stage of a curriculum, in the starts of episodes, or in missing success."""
 
 from __future__ import annotations
 
@@ -33,10 +33,12 @@ def present_stage(t: TrainingEvidence) -> Numbers | None:
     if not t.stages:
         return None
     done, late = SuccessRate(t.late_evaluations), t.late_evaluations
-    evaluated = f"Its last evaluations there succeed in {done}. " if late else "" if t.evaluations else "It was not evaluated there yet. "
+    evaluated = "" if t.evaluations else "It was not evaluated in this stage yet. "
+    if late:
+        evaluated = f"In the last evaluations of this stage, the policy succeeds in {done}. "
     until, value = criterion(t), criterion_value(t)
     now = "" if value is None or until is None else f"; now it is {criterion_number(until, value)}"
-    ends = f"The stage ends with {criterion_text(until)}{now}." if until else "It is the last stage."
+    ends = f"The stage ends at {criterion_text(until)}{now}." if until else "It is the last stage."
     return {"stage": t.stage, "number": t.stage_index + 1, "count": len(t.stages), "since": t.first_step, "steps": t.steps,
             "success": done if late else None, "evaluated": evaluated, "ends": ends, "value": value}  # fmt: skip
 
@@ -55,7 +57,7 @@ def criterion_number(until: Criterion, value: float) -> str:
 def criterion_text(until: Criterion) -> str:
     if until.metric == "steps":
         return criterion_number(until, until.threshold)
-    counted = "in an evaluation" if until.episodes is None else f"over {until.episodes} episodes of the training"
+    counted = "in an evaluation" if until.episodes is None else f"over {until.episodes} training episodes"
     return f"a {until.metric.replace('_', ' ')} of {criterion_number(until, until.threshold)} {counted}"
 
 
@@ -100,10 +102,10 @@ def stage_changes(t: TrainingEvidence) -> str:
 
 
 def stage_too_hard(t: TrainingEvidence) -> Numbers | None:
-    """The step to stage '{stage}' is too hard: episodes of stage '{before}' succeeded in {success_before} at its end, and those of
-    '{stage}' in {success} in the second half of its {steps} steps.
+    """Stage '{stage}' is too hard after stage '{before}'. At the end of '{before}', the policy succeeded in {success_before}; in the second
+    half of the {steps} steps of '{stage}', it succeeds in {success}.
 
-    Try: Add a stage between the two, with values between theirs{changes}, or let '{stage}' begin nearer to its success.
+    Try: Add a stage between the two, with values between theirs{changes}, or let episodes of '{stage}' start nearer to success.
     """
     if not t.stage_index or not t.program.defines_success or not t.is_mature:
         return None
@@ -120,8 +122,8 @@ def stage_too_hard(t: TrainingEvidence) -> Numbers | None:
 
 
 def easy_stage_counted(t: TrainingEvidence) -> Numbers | None:
-    """The policy has learned an easy stage only: the training ended in stage '{stage}', number {number} of {count}, where its evaluations
-    succeed in {success}{task}. The stage ends with {criterion}; {reached}.
+    """The policy has learned only an easy stage: the training ended in stage '{stage}' ({number} of {count}). In evaluations of this stage
+    it succeeds in {success}{task}. The stage ends at {criterion}; {reached}.
 
     Try: {remedy}
     """
@@ -133,21 +135,21 @@ def easy_stage_counted(t: TrainingEvidence) -> Numbers | None:
     if until.metric == "success_rate" and late.high < until.threshold:
         return None  # the stage asks for more
     final, value = SuccessRate([each.is_success for each in t.final_episodes]), criterion_value(t)
-    task = f", and in the scenario itself in {final}" if final.episodes else "; these evaluations are not those of the task"
+    task = f", and in the scenario itself in {final}" if final.episodes else "; the task itself was not evaluated"
     reached = f"the training made {t.stage_steps:,} steps there" if value is None or until.metric == "steps" else (
         f"it was at {criterion_number(until, value)}")  # fmt: skip
     threshold = Criterion("success_rate", 0.8, None) if until.metric == "steps" else until
     wanted = min(threshold.threshold, value) if value is not None and until.metric != "steps" else threshold.threshold
-    remedy = f"Let the stage end when it is learned, such as by {_until(threshold, wanted, in_evaluation=True)}."
+    remedy = f"Let the stage end when the policy has learned it, for example with {_until(threshold, wanted, in_evaluation=True)}."
     return {"likelihood": 0.93, "stage": t.stage, "number": t.stage_index + 1, "count": len(t.stages), "success": late, "task": task,
             "criterion": criterion_text(until), "reached": reached, "remedy": remedy, "value": value}  # fmt: skip
 
 
 def stuck_in_stage(t: TrainingEvidence) -> Numbers | None:
-    """The training is stuck in stage '{stage}', number {number} of {count}, since step {since}: the {metric} of its episodes was {before}
-    in the third quarter of the stage and {late} in the last one, and the next stage begins at {threshold}.
+    """The training is stuck in stage '{stage}' ({number} of {count}), which began at step {since}: the {metric} was {before} in the third
+    quarter of the stage and {late} in the last quarter, but the stage ends at {threshold}.
 
-    Try: {remedy}. Look at the causes below, too: they are those of this stage.
+    Try: {remedy}. Also check the causes below: they apply to this stage.
     """
     until = criterion(t)
     if until is None or until.metric == "steps" or t.stage_steps < t.planned / len(t.stages):
@@ -168,7 +170,7 @@ def stuck_in_stage(t: TrainingEvidence) -> Numbers | None:
     wanted = 0.9 * reached if until.metric == "success_rate" else reached - 0.1 * abs(reached)
     remedy = "Put an easier stage before it"
     if until.metric == "mean_return" or wanted >= 0.2:
-        remedy = f"Let the next stage begin at what this one reaches, such as {_until(until, wanted)}; or put an easier stage before it"
+        remedy = f"Lower the criterion to a value that the stage reaches, such as {_until(until, wanted)}; or put an easier stage before it"
     return {"likelihood": 0.75, "stage": t.stage, "number": t.stage_index + 1, "count": len(t.stages), "since": t.first_step,
             "metric": until.metric.replace("_", " "), "before": before, "late": late_text, "value": float(last.mean()),
             "threshold": criterion_number(until, until.threshold), "remedy": remedy}  # fmt: skip
@@ -222,11 +224,11 @@ def plateau(t: TrainingEvidence) -> tuple[int, float, float] | None:
 
 
 def success_plateau(t: TrainingEvidence) -> Numbers | None:
-    """The success rate no longer rises: it was between {low} and {high} from step {since} to {steps}{where}; the last half of these
-    episodes succeed in {success}.
+    """The success rate no longer rises: it was between {low} and {high} from step {since} to {steps}{where}. In the second half of
+    {half_of}, the policy succeeds in {success}.
 
-    Try: Look at episodes that do not succeed: `deepbots eval RUN --details` shows which starts they have, and
-    `deepbots diagnose RUN --episode failed` what they lack. More steps alone are unlikely to help.
+    Try: Look at episodes without success: `deepbots eval RUN --details` shows their starts, `deepbots diagnose RUN --episode failed` shows
+    which condition they miss. More steps alone are unlikely to help.
     """
     found = plateau(t)
     if found is None or some_starts_fail(t) is not None or stuck_in_stage(t) is not None or hides_success(t) is not None:
@@ -234,15 +236,16 @@ def success_plateau(t: TrainingEvidence) -> Numbers | None:
     since, low, high = found
     late = SuccessRate(t.episodes_by_steps(0.5, 1.0).successes)
     return {"likelihood": 0.6, "since": since, "low": Percentage(low), "high": Percentage(high), "steps": t.steps,
-            "where": f" in stage '{t.stage}'" if t.stage else "", "success": late}  # fmt: skip
+            "where": f" in stage '{t.stage}'" if t.stage else "", "half_of": "the stage" if t.stage else "the training",
+            "success": late}  # fmt: skip
 
 
 def some_starts_fail(t: TrainingEvidence) -> Numbers | None:
-    """{flat} depends on the start: with `{drawn}` {worst} the policy succeeds in {failing}, with `{drawn}` {best} in {succeeding}
-    ({source}; all parts: {parts}).
+    """{flat} depends on the start: with `{drawn}` {worst}, the policy succeeds in {failing}; with `{drawn}` {best}, it succeeds in
+    {succeeding} ({source}; by value: {parts}).
 
     Try: Check that these starts can succeed, with a script or by hand (`deepbots play`), and that the policy observes `{drawn}` or its
-    effect. Then let the training see more of them, such as by a narrower range under `reset` at first, with a curriculum.
+    effect. Then train more on these starts, for example with a curriculum that draws them more often at first.
     """
     is_flat = plateau(t) is not None or stuck_in_stage(t) is not None
     if not is_flat and not t.final_episodes:  # they may still be learned
@@ -315,7 +318,7 @@ def hides_success(t: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None
 def success_never_seen(t: TrainingEvidence) -> Numbers | None:
     """{seen} of {episodes} episodes{where} {verb} a success ('{ending}'){though}; their returns differ by {spread} (standard deviation).
 
-    Try: {remedy} start nearer to the success, or loosen its condition; a curriculum can do the latter two.
+    Try: {remedy} start nearer to success, or loosen its condition; a curriculum can do the latter two.
     """
     if not t.program.defines_success or len(t.episodes) < MIN_EPISODES or not is_rare(t):
         return None
@@ -325,10 +328,10 @@ def success_never_seen(t: TrainingEvidence) -> Numbers | None:
     paid = {name: max(0.0, float(curve[-max(1, len(curve) // 4) :].mean())) for name, curve in late.items() if len(curve)}
     name, whole = max(paid, key=lambda each: paid[each], default=""), sum(paid.values())
     share = paid[name] / whole if whole else 0.0
-    though, remedy = "", "Add a term that pays for coming nearer,"
+    though, remedy = "", "Add a reward term for progress towards success,"
     if share >= 0.8 and not returns_rise(t):
-        though = f", and '{name}' pays {share:.0%} of what late episodes gain: the policy stays at a local optimum of this term"
-        remedy = f"Let '{name}' lead around obstacles, such as with path_distance in place of a straight distance;"
+        though = f", and '{name}' gives {share:.0%} of the positive reward of late episodes: the policy is in a local optimum of this term"
+        remedy = f"Make '{name}' lead around obstacles, for example with path_distance instead of a straight distance,"
     return {"likelihood": 0.93 if flat else 0.7 if t.is_mature else 0.45, "episodes": len(t.episodes), "count": count,
             "seen": f"Only {count}" if count else "None", "verb": "are" if count > 1 else "is",
             "where": f" in stage '{t.stage}'" if t.stage else "", "ending": " or ".join(names), "spread": float(t.episodes.returns.std()),

@@ -41,7 +41,7 @@ class Statement:
 
 
 class Percentage(float):
-    """A share, shown in per cent."""
+    """A fraction, shown in per cent."""
 
 
 class SuccessRate(dict[str, Any]):

@@ -245,7 +245,7 @@ class TrainingCallback:
             self._report()
         if self.interruption.requested and not self._stop_noted:
             self._stop_noted = True
-            self.reporter.note(f"stopping after this roll-out; continue with: deepbots train --resume {quote(str(self.run.path))}")
+            self.reporter.note(f"stopping after this rollout; continue with: deepbots train --resume {quote(str(self.run.path))}")
         return not (solved and self.confirmed)
 
     def on_collected(self) -> None:
@@ -348,6 +348,6 @@ def check_finite(learner: Learner, run: Run) -> None:
     name = learner.not_finite()
     if name is not None:
         raise RunError(
-            f"the training diverged: '{name}' is no longer finite after {learner.steps:,} steps; "
+            f"the training diverged: '{name}' contains infinite or NaN values after {learner.steps:,} steps; "
             f"the last good model is kept in {run.model('last').parent}; a lower learning rate or smaller rewards may help"
         )

@@ -1,4 +1,4 @@
-"""Checkpoints, from which a training that was killed goes on to the bit as if it had never been interrupted.
+"""Checkpoints, from which a killed training continues bit for bit as if it had never been interrupted.
 
     checkpoints/000012288/      state.json, arrays.npz, model.zip: a checkpoint after 12 288 steps; only the last one is kept
     checkpoints/replay/         the rows of a replay buffer, in segments that are written once
@@ -251,7 +251,7 @@ class Checkpoints:
         here = self._arithmetic()
         for name, value in state.arithmetic.items():
             if here.get(name) != value:
-                self.note(f"{name} was {value} before {state.steps:,} steps and is {here.get(name)} since")
+                self.note(f"{name} changed at {state.steps:,} steps from {value} to {here.get(name)}")
         if state.digest != self.run.digest:
             self.note(f"the scenario has meant something else since {state.steps:,} steps")
         self._learner.restore(state, arrays, self._repeat_episodes(state, arrays))
@@ -280,5 +280,5 @@ class Checkpoints:
         seeds = [derive_seed(self.run.record.seed, "environment", i, "resumed", state.steps) for i in range(len(episodes))]
         if self._collector.restore(ShardState(episodes, state.observed), seeds):
             return True
-        self.note(f"the episodes that ran at {state.steps:,} steps gave different results when repeated, so they were restarted")
+        self.note(f"the episodes at {state.steps:,} steps could not be repeated exactly, so new episodes began")
         return False

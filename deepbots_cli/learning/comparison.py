@@ -110,7 +110,7 @@ class GroupDifference:
     def _verdict_on_returns(self) -> str:
         difference = self.mean_return
         if difference.interval is None:
-            return f"{self.group}: unknown, because a group with one run has no interval; train more seeds"
+            return f"{self.group}: cannot be compared, because a group with one run has no interval; train more seeds"
         low, high = difference.interval
         if low == high == 0:
             return f"{self.group}: the same mean return in every {'run' if self.between_seeds else 'episode'}"
@@ -127,7 +127,7 @@ class GroupDifference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Groups in the order in which they were given, the others against the first, and remarks on what the numbers cannot tell.
+    """Groups in the given order, the others compared with the first, and notes on the limits of the comparison.
 
     `scenario` is the name of the scenario of all episodes, or None if each run is evaluated in its own.
     """
@@ -336,13 +336,15 @@ def _notes(runs: Sequence[Run], groups: Sequence[GroupResult], differences: Sequ
     notes = [f"{group.name}: no model yet of seed {', '.join(map(str, group.waiting))}" for group in groups if group.waiting]
     fewest = min(len(group.evaluations) for group in groups)
     if all(not difference.between_seeds for difference in differences):
-        notes.append("each group is one run: the intervals compare these policies, and not the settings that they were trained with")
+        notes.append(
+            "each group has one run, so the intervals compare these policies, not their settings; to compare settings, train several seeds"
+        )
     elif fewest < MIN_SEEDS:
         notes.append(f"a group has {fewest} run{'' if fewest == 1 else 's'}: train at least {MIN_SEEDS} seeds of each, better 5")
     if len({run.record.engine for run in runs}) > 1:
-        notes.append("the runs were trained in different engines, and each is evaluated in its own")
+        notes.append("the runs were trained in different engines; each run is evaluated in its own engine")
     if len({str([(term.name, term.text) for term in run.program.agent.reward]) for run in runs}) > 1:
-        where = "each run is evaluated in its own scenario" if own else "all runs are evaluated with one reward, that of the scenario above"
+        where = "each run is evaluated in its own scenario" if own else "all runs are evaluated with the reward of the scenario above"
         notes.append(f"the rewards of the runs differ, and {where}: compare success rates, not returns")
     for group in groups:
         notes += dict.fromkeys(f"{group.name}: {note}" for result in group.evaluations for note in result.notes if "trained with" in note)

@@ -42,16 +42,22 @@ MAX_BATCH_WORLDS = 32
 
 @dataclass(frozen=True)
 class EvaluationResult(Summary):
-    """What a policy did in held-out episodes: their summary, the circumstances, and the episodes themselves.
+    """The result of a policy in held-out episodes: their summary, the circumstances, and the episodes themselves.
 
-    `engine` is None for worlds that `build` made. `agent` names the agent whose return it is. `model` is `best` or `last`, or the name of
-    a baseline: `random`, `zero`, `script NAME`. `case` and `stage` are None for the scenario itself. `elsewhere` names the scenario where
-    it is not that of the training, `set` are the assignments of `--set` to it, and `digest` is its digest. `circumstances` puts in words
-    what differs from an evaluation of the best model in the scenario of the training. `planned` is the number of episodes that were asked
-    for: more than `episodes` where a requirement stopped the evaluation. `solved` is None where the scenario says nothing, or asks for
-    more episodes (`required_episodes`) than there were; `verdict` puts it in words. `return_bounds` are the least and the largest
-    possible return of an episode where rewards and time limit imply them, at which intervals are cut. `outcomes` are the episodes, in the
-    order of their seeds. Where the scenario defines no success (`success_defined`), the success rate is 0 and means nothing.
+    Attributes:
+        engine: None if `build` made the worlds.
+        case: Name of the case; None for the scenario itself. The same holds for `stage`.
+        elsewhere: Name of the scenario if it is not that of the training; `set` are the assignments of `--set`, `digest` is its digest.
+        agent: Name of the agent whose return is reported.
+        model: `best`, `last`, or the name of a baseline: `random`, `zero`, `script NAME`.
+        planned: Requested number of episodes; larger than `episodes` if a requirement stopped the evaluation early.
+        circumstances: Differences from an evaluation of the best model in the scenario of the training, in words.
+        success_defined: Whether the scenario defines success; if not, the success rate is 0 without a meaning.
+        solved: None if the scenario has no `solved`, or if its criterion needs more episodes (`required_episodes`) than were run.
+        verdict: `solved` in words.
+        return_bounds: Smallest and largest possible return of an episode, if deepbots can derive them from rewards and time limit.
+            Confidence intervals are cut at them.
+        outcomes: The episodes, in the order of their seeds.
     """
 
     run: Path
@@ -84,12 +90,12 @@ class EvaluationResult(Summary):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """`circumstances`, and what is to be said of the number of episodes."""
+        """`circumstances`, and remarks on the number of episodes."""
         return (*self.circumstances, *remark_on_episodes(self.episodes, self.planned, self.required_episodes))
 
     @property
     def by_drawn_value(self) -> dict[str, tuple[DrawnBin, ...]]:
-        """Success and return by each value that the episodes drew, by its place in the scenario, in a few bins of its range."""
+        """Success and return by drawn value: for each draw, by its path in the scenario, statistics in a few bins of its range."""
         return by_drawn_value(self.outcomes, self.possible_returns)
 
 
@@ -112,29 +118,30 @@ def evaluate(
 ) -> EvaluationResult:
     """Evaluate the policy of a run on episodes that it was not trained on.
 
-    Episode k starts from a seed of its own, derived from the stream `evaluation` of `seed`: the result is the same however
-    many worlds run at once, and the first ten of a hundred episodes are those of an evaluation of ten. No episode of the
-    training starts from such a seed. All cases take the same seeds, so that they differ by their settings alone.
+    Each episode has its own seed, derived from `seed` and the episode number. The result therefore does not depend on the number of worlds,
+    and the first ten of a hundred episodes are the same as in an evaluation of ten episodes. Training episodes use other seeds. All cases
+    use the same seeds, so they differ only in their settings.
 
     Args:
         run: The run, or its directory.
-        episodes: The number of the scenario by default.
-        seed: The root of the stream, from 0; the training's by default.
-        deterministic: Whether the policy takes its likeliest action; else it samples, from seeded streams too.
-        model: `best` by its evaluations during the training, or `last`.
+        episodes: Number of episodes; by default that of the scenario.
+        seed: Root seed of the episodes, from 0; by default that of the training.
+        deterministic: Whether the policy takes its most likely action; otherwise it samples actions, also from seeded streams.
+        model: `best` (by evaluations during the training) or `last`.
         scenario: Another scenario to evaluate in, as for `train`; its observation, action and messages must be those of the run.
-        case: One of the scenario's cases to evaluate in, by name.
-        stage: One of the stages of its curriculum to evaluate in, by name.
-        copies: Single worlds at a time, 1 to 8. By default a batch of worlds if the engine has batches and the scenario fits one, else 8.
-        permissions: With `code`, terms in Python run.
+        case: Name of the case of `evaluation` to evaluate in.
+        stage: Name of the stage of the curriculum to evaluate in.
+        copies: Number of single worlds to run at a time, 1 to 8. By default deepbots runs a batch of worlds if engine and scenario
+            support it, otherwise 8 single worlds.
+        permissions: With `code`, the scenario may run functions of installed Python packages.
         engine: The physics engine; by default that of the training, or of `scenario` if it names another.
-        build: Makes a world of the scenario in place of the generated supervisor.
-        on_episode: Is told after each episode how many are done, and of how many.
-        until: Takes the first k episodes, for k = 1, 2, ..., and returns whether they are enough. The result then holds these only.
+        build: Function that makes a world of the scenario, in place of the generated supervisor.
+        on_episode: Called after each episode with the number of finished episodes and the number of all episodes.
+        until: Called with the first k episodes for k = 1, 2, ...; return True to stop. The result then contains only these k episodes.
 
     Raises:
-        RunError: No run, a damaged one, or one that does not fit `scenario`; says field by field why.
-        UsageError: The numbers make no sense.
+        RunError: The folder is not a run, is damaged, or does not match `scenario`; the message lists the differences by field.
+        UsageError: A number is out of range.
     """
     setting = _Setting(run, episodes, seed, scenario, case, stage, permissions, engine, build)
     known, program, count, make, engine = setting.run, setting.program, setting.episodes, setting.build, setting.engine or ""
@@ -249,7 +256,7 @@ class _Setting:
         program = (self.judged or run).program
         if self.judged is not None and (differences := identity.differences(run.program, program)):
             lines = "\n  ".join(differences)
-            raise RunError(f"{run.path} was trained for another observation, action or messages than {program.name} has:\n  {lines}")
+            raise RunError(f"{run.path} was trained with other observations, actions or messages than {program.name} defines:\n  {lines}")
         usual = program.evaluation.episodes if case is None else program.case(case).episodes
         self.program, self.case, self.stage = program.variant(case, stage), case, stage
         self.episodes, self.seed = usual if episodes is None else episodes, run.record.seed if seed is None else seed

@@ -120,7 +120,7 @@ class Group:
 
 @dataclass(frozen=True)
 class GroupTraining:
-    """What a training of a group came to.
+    """The result of training a group.
 
     `trained` are the results of the runs that this call has trained, `skipped` the seeds that were finished before, and `failed` the
     reasons why a training failed, by seed. `waiting` are the seeds that an interruption leaves untrained or unfinished.
@@ -134,7 +134,7 @@ class GroupTraining:
 
     @property
     def interrupted(self) -> bool:
-        """Whether a stop was asked for, also in the last roll-out of the last seed, which leaves no seed waiting."""
+        """Whether a stop was requested, also in the last rollout of the last seed, which leaves no seed waiting."""
         return bool(self.waiting) or any(result.stop_requested for result in self.trained)
 
 
@@ -155,7 +155,7 @@ def train_group(
 ) -> GroupTraining:
     """Train a scenario with several seeds, one after the other, in a new folder.
 
-    If a training fails, the others go on. An interruption ends the group after the roll-out that is under way.
+    If one training fails, the others continue. An interruption stops the group after the current rollout.
 
     Args:
         compiled: The scenario.
@@ -165,7 +165,7 @@ def train_group(
         options: Those of `train`; the arguments `runs`, `progress` and `build` are as there, too.
 
     Raises:
-        UsageError: The folder exists, a seed is given twice, or the settings cannot be trained with.
+        UsageError: The folder exists, a seed is given twice, or the settings are invalid for training.
         TypeError: `train` has no such option.
     """
     if unknown := options.keys() - TrainingOptions.__annotations__.keys():
@@ -211,13 +211,13 @@ def resume_group(
     on_seed: OnSeed | None = None,
     build: WorldFactory | None = None,
 ) -> GroupTraining:
-    """Go on with a group: finished seeds are skipped, interrupted ones continue from their last checkpoint, the others begin.
+    """Continue a group: finished seeds are skipped, interrupted ones continue from their last checkpoint, the others begin.
 
     Arguments are those of `resume`; with a higher `total_timesteps`, finished seeds continue too.
 
     Raises:
-        RunError: The folder is no group, or it is damaged.
-        UsageError: Another training is at work in it, or there is no such callback or logger.
+        RunError: The folder is not a group, or is damaged.
+        UsageError: Another training uses the group, or a callback or logger does not exist.
     """
     known = Group.open(group)
     given = {"total_timesteps": total_timesteps, "stop_when_solved": stop_when_solved}

@@ -23,7 +23,7 @@ from deepbots_cli.runtime.spaces import action_space, observation_space
 
 @dataclass(frozen=True)
 class ActionValue:
-    """A part of the action: a choice between `options`, or a number whose [-1, 1] maps to `low` .. `high` in `unit`."""
+    """A part of the action: a choice of one of `options`, or a number in [-1, 1] that is mapped to `low` .. `high` in `unit`."""
 
     name: str
     options: tuple[str, ...] = ()
@@ -41,7 +41,7 @@ class Policy:
         action_space: The space of one action.
         observation: The numbers of the observation vector, in order.
         goal: The numbers of a goal, in order; none for a policy without a goal.
-        values: The names that `observe` takes: those of `observation`, and with a goal those that what is achieved is computed from.
+        values: The names that `observe` takes: those of `observation`, and with a goal also those from which the achieved goal is computed.
         action: The parts of the action, in order.
     """
 
@@ -57,7 +57,7 @@ class Policy:
         self.reset()
 
     def reset(self) -> None:
-        """Begin an episode: a recurrent policy forgets the last one."""
+        """Begin an episode: a recurrent policy forgets the previous one."""
         self._memory: Any = None
         self._begins = True
 
@@ -66,14 +66,14 @@ class Policy:
 
         Args:
             observation: An observation of the environment, or several as rows (n, k); see `observe` for values in units.
-            deterministic: Whether to take the likeliest action; otherwise the policy samples from torch's generator.
+            deterministic: Whether to take the most likely action; otherwise the policy samples with torch's random generator.
             action_mask: Which options are allowed, as `env.unwrapped.action_masks()` returns it; only MaskablePPO takes it.
 
         Returns:
             An action in the action space, or one per row.
 
         Raises:
-            UsageError: The observation holds a value that is not finite.
+            UsageError: The observation contains a value that is not finite.
         """
         for part in observation.values() if isinstance(observation, dict) else (observation,):
             numbers = np.atleast_1d(part)
@@ -119,13 +119,13 @@ class Policy:
 
 
 def load_policy(run: str | Path, *, model: ModelName = "best") -> Policy:
-    """The policy of a run, `best` or `last`. Nothing is unpickled; the random generators of the caller stay as they are.
+    """Load the policy of a run, `best` (by evaluations during the training) or `last`.
 
-    Call `torch.set_num_threads(1)` before a loop of your own: networks of this size are many times slower on several threads.
-    deepbots does not change the threads of your process.
+    Loading unpickles nothing and does not change global random generators. Call `torch.set_num_threads(1)` before your own loop: networks
+    of this size are many times slower on several threads. deepbots does not change the number of threads of your process.
 
     Raises:
-        RunError: No run, or a damaged one.
+        RunError: The folder is not a run, or is damaged.
         MissingExtraError: The extra `train` is not installed.
     """
     known = Run.open(run)

@@ -29,7 +29,7 @@ LATENCY_STEPS, LOSS_RATES, NOISE_SHARES = (1, 2, 4, 8), (0.05, 0.1, 0.2, 0.4), (
 MASS_FACTORS = (0.5, 0.75, 1.25, 1.5, 2.0)
 STRENGTH_FACTORS = (0.9, 0.75, 0.5, 0.25)
 SHARE_OF_NOMINAL = 0.8
-"""Where neither the caller nor the scenario names a bar: 80 % of the success rate or mean return without any change."""
+"""Required score if neither the caller nor the scenario sets one: 80 % of the success rate or mean return without any change."""
 
 Metric = Literal["success_rate", "mean_return"]
 Change = dict[str, Any]
@@ -40,7 +40,7 @@ Change = dict[str, Any]
 class RobustnessLevel:
     """One amount of a condition: its label, such as `+64 ms`, and the evaluation.
 
-    `holds` tells whether the score reaches the bar, and `certain` whether its 95 % interval excludes the bar.
+    `holds` is true if the score reaches the required one, `certain` if its 95 % interval excludes the required one.
     """
 
     level: str
@@ -53,7 +53,7 @@ class RobustnessLevel:
 class Condition:
     """One changed condition at all of its levels, from the smallest change on.
 
-    `skipped` is the reason why this scenario cannot be changed so; `levels` is empty then.
+    `skipped` is the reason why this scenario cannot be changed in this way; `levels` is empty then.
     """
 
     name: str
@@ -62,13 +62,13 @@ class Condition:
 
     @property
     def threshold(self) -> str:
-        """Between which levels the score falls below the bar, in words, and at which levels this is uncertain."""
+        """In words: the levels between which the score falls below the required one, and the levels at which this is not significant."""
         if self.skipped is not None:
             return f"not measured: {self.skipped}"
         uncertain = [entry.level for entry in self.levels if not entry.certain]
         if not uncertain:
             return self._fall
-        return f"{self._fall}; uncertain at {'all levels' if len(uncertain) == len(self.levels) else ', '.join(uncertain)}"
+        return f"{self._fall}; not significant at {'all levels' if len(uncertain) == len(self.levels) else ', '.join(uncertain)}"
 
     @property
     def _fall(self) -> str:
@@ -101,12 +101,12 @@ class Robustness:
 
     @property
     def nominal_holds(self) -> bool:
-        """Whether the score reaches the bar without any change."""
+        """Whether the score reaches the required one without any change."""
         return _level("", self.nominal, self.metric, self.bar).holds
 
     @property
     def nominal_certain(self) -> bool:
-        """Whether the 95 % interval of the score without any change excludes the bar."""
+        """Whether the 95 % interval of the score without any change excludes the required score."""
         return _level("", self.nominal, self.metric, self.bar).certain
 
 
@@ -136,16 +136,16 @@ def evaluate_robustness(
         run: The run, or its directory.
         episodes: Episodes of each level; by default those of the scenario, at most 50.
         scenario: Another scenario to change, by its path or name.
-        overrides: Assignments `path=value` that hold at all levels.
-        min_success: The bar of the success rate; by default that of `solved`, or 80 % of the rate without any change.
+        overrides: Assignments `path=value` for all levels.
+        min_success: The required success rate; by default that of `solved`, or 80 % of the rate in the unchanged scenario.
         min_return: The bar of the mean return, in the place of the success rate.
-        mass_of: What has its mass changed, `ROBOT.LINK` or an object; by default the heaviest link that can move.
+        mass_of: The link (`ROBOT.LINK`) or object whose mass is changed; by default the heaviest link that can move.
         on_level: Is called after each evaluation with the number of those done and of all.
         options: Further arguments of `evaluate`; `seed`, `model` and `permissions` are as there.
 
     Raises:
-        RunError: No run, a damaged one, or one that does not fit `scenario`.
-        UsageError: There is no such scenario, or nothing of this name has a mass.
+        RunError: The folder is not a run, is damaged, or does not match `scenario`.
+        UsageError: The scenario does not exist, or nothing with the name `mass_of` has a mass.
     """
     known = run if isinstance(run, Run) else Run.open(run)
     base = Source.kept(known.path, permissions) if scenario is None else Source.open(scenario, permissions, SourceKind.SCENARIO)
@@ -207,7 +207,7 @@ def _level(label: str, result: EvaluationResult, metric: Metric, bar: float) -> 
 
 
 def _bar(program: Program, nominal: EvaluationResult, min_success: float | None, min_return: float | None) -> tuple[Metric, float, str]:
-    """The metric, its bar, and where the bar comes from."""
+    """The metric, the required score, and its source."""
     solved = program.agent.solved
     if min_return is not None:
         return "mean_return", min_return, "given"

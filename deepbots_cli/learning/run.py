@@ -3,7 +3,7 @@
     runs/cartpole-0-1/
     ├── run.json             command, seeds, digests, versions, status, result
     ├── inputs/              a copy of every file that the scenario was read from, meshes too
-    ├── resolved.yaml        the scenario after includes and overrides, with the copies as its files: what the run is loaded from
+    ├── resolved.yaml        the scenario after includes and overrides, with paths to the copies; the run is loaded from it
     ├── environment.py       the generated code, to read; it is never run from here
     ├── monitor.csv          a line per episode
     ├── tensorboard/
@@ -65,12 +65,15 @@ _FOLDERS = (INPUTS_FOLDER, "tensorboard", "models", "evaluations", "logs", "chec
 class RunResult(BaseModel):
     """How a training ended, or how far it has come.
 
-    `status` is finished or interrupted; of an interrupted one everything learned is kept, and `resume(run)` goes on.
-    Steps count over all rows of the environment; the means are over the recent episodes (None: none has ended).
-    `best_return` is the mean return of the best model in its evaluation (None: too few episodes for one); `evaluation_steps` are those
-    of all evaluations, from which nothing is learned and which are not among `steps`. `stage` is the one of the curriculum that it
-    ended in, `stages` are those before. `stopped_by` names the callback that ended it. `inexact` says why a resumed
-    training differs from one that was never interrupted.
+    Attributes:
+        status: How it ended. An interrupted training keeps everything learned; `resume(run)` continues it.
+        steps: Number of steps, summed over all rows of the environment, without `evaluation_steps`.
+        mean_return: Mean return of the recent episodes, like `success_rate`; None if no episode has ended.
+        best_return: Mean return of the best model in its evaluation; None if there were too few episodes for an evaluation.
+        evaluation_steps: Steps of all evaluations during the training.
+        stage: The stage of the curriculum in which the training ended; `stages` are the stages before it.
+        stopped_by: Name of the callback that stopped the training.
+        inexact: Reasons why a resumed training differs from one without interruption.
     """
 
     model_config = ConfigDict(frozen=True, strict=True)
@@ -95,9 +98,9 @@ class RunResult(BaseModel):
 
 
 class TrainingResult(RunResult):
-    """The result of a training, its run directory, and what it took over from another run.
+    """The result of a training, its run directory, and the run from which it took weights.
 
-    `stop_requested` says whether Ctrl-C or SIGTERM arrived: the training may have reached its goal all the same.
+    `stop_requested` is true after Ctrl-C or SIGTERM, even if the training was complete by then.
     """
 
     run: Path
@@ -110,7 +113,7 @@ class TrainingResult(RunResult):
 
 
 class TrainingOptions(TypedDict, total=False):
-    """Arguments of `train` that say how a training goes, which the trainings of a group share."""
+    """Arguments of `train` that all trainings of a group share."""
 
     total_timesteps: int | None
     stop_when_solved: bool
@@ -249,9 +252,9 @@ class Run:
         return write_numbered(self.evaluations, json.dumps({"evaluated": timestamp(), **content}, indent=1, allow_nan=False) + "\n")
 
     def notes(self) -> list[str]:
-        """What one should know before using this run, a sentence each."""
+        """Notes on the use of this run, one sentence each."""
         here, there, stages = deepbots_cli.__version__, self.record.deepbots, [stage.name for stage in self.program.curriculum]
-        found = [] if there == here else [f"{self.path} was trained by deepbots {there}, this is {here}"]
+        found = [] if there == here else [f"{self.path} was trained by deepbots {there}, but this is deepbots {here}"]
         if self.digest != self.record.digest:
             cause = "to this deepbots" if found else "since it was changed after the training"
             found.append(f"the scenario in {self.path} means something else {cause}; the policy still fits its interface")
@@ -278,10 +281,11 @@ class Run:
 
     @staticmethod
     def open(path: str | Path | Source) -> Run:
-        """A run that exists. Its scenario is compiled anew, and only files of the run, shipped ones and installed packages are read.
+        """Open a run. Its scenario is compiled again, and only files of the run, shipped files and installed packages are read.
 
         Raises:
-            RunError: No run, damaged, of another format, or its policy does not fit its scenario; then says field by field why.
+            RunError: The folder is not a run, is damaged or has another format, or its policy does not match its scenario; the message then
+                lists the differences by field.
         """
         source = Source.open(path, Permissions(), SourceKind.RUN)
         path = source.path
@@ -297,7 +301,7 @@ class Run:
         differences = identity.compare_interfaces(record.interface, identity.interface(compiled.program), words=("trained", "now"))
         if differences:
             lines = "\n  ".join(differences)
-            raise RunError(f"{path} was trained for another observation, action or messages than its scenario has now:\n  {lines}")
+            raise RunError(f"{path} was trained with other observations, actions or messages than its scenario defines now:\n  {lines}")
         return Run(path, record, compiled)
 
 

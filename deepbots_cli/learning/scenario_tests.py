@@ -130,7 +130,7 @@ def _episode(environment: Supervisor, test: ScenarioTest, number: int, misses: l
     after = f"after {episode.length:,} steps ({episode.length * environment.scenario.period:.4g} s)"
     for expected in test.expected:
         if expected.endings and episode.ended_by not in expected.endings:
-            words = f"ended by `{episode.ended_by}` {after}" if episode.ended_by else f"goes on {after}"
+            words = f"ended by `{episode.ended_by}` {after}" if episode.ended_by else f"has not ended {after}"
             misses.append(_miss(expected, words, number))
     for watch in watches:
         misses += watch.misses(after.removeprefix("after "))

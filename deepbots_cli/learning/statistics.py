@@ -136,9 +136,9 @@ def gate_rate(required: float, successes: int, episodes: int, planned: int) -> V
     rate = successes / episodes
     if rate_evidence(required, successes, episodes) >= math.log(1 / ALPHA):
         low, high = rate_sequence(successes, episodes)
-        return Verdict(rate > required, f"{successes} of {episodes} succeed; 95 % confidence sequence {low:.3g} .. {high:.3g}")
+        return Verdict(rate > required, f"{successes} of {episodes} episodes succeed; 95 % confidence sequence {low:.3g} .. {high:.3g}")
     left = planned - episodes
-    known = f"{successes} of {episodes} succeed" + (f", which the remaining {left} cannot change" if left else "")
+    known = f"{successes} of {episodes} episodes succeed" + (f"; the remaining {left} cannot change the result" if left else "")
     if successes >= required * planned:
         return Verdict(True, known)
     if successes + left < required * planned:

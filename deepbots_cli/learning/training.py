@@ -79,31 +79,32 @@ def train(
 ) -> TrainingResult:
     """Train the policy of a scenario in a new run directory.
 
-    The first Ctrl-C or SIGTERM ends the training after the roll-out that is under way: the result says `interrupted`.
+    The first Ctrl-C or SIGTERM stops the training after the current rollout: `interrupted` of the result is then true, unless the training
+    was complete. A second one stops it at once.
 
     Args:
-        scenario: What `deepbots_cli.compile` returned, a `Scenario`, the path of a file, or the name of a shipped scenario.
-        run: The directory to make; it must not exist. By default `runs/<scenario>-<seed>-<n>`.
-        runs: Where the default directory is made.
-        seed: The root of every random stream, from 0. The same seed on the same machine gives the same weights.
-        total_timesteps: Steps over all rows of the environment; the scenario's number by default. On-policy algorithms
-            finish the update that they are in.
-        stop_when_solved: Whether to end when the scenario's `solved` is met by the episodes of the training and then by an evaluation.
-        stage: The stage of the curriculum to begin in, by name; by default the first.
-        keep_checkpoints: How many models to keep at equal distances of steps, beside the best and the last.
-        initialize_from: A run, the best policy of which this one begins with, tensor by tensor where names and shapes are the same.
-        callbacks: Names of callbacks that installed packages register, which follow the training.
-        loggers: Names of loggers that are written beside TensorBoard's: `csv`, and those that installed packages register.
-        progress: Whether to report progress on standard error, or who reports it.
+        scenario: The result of `deepbots_cli.compile`, a `Scenario`, the path of a file, or the name of a shipped scenario.
+        run: The directory to create; it must not exist. By default `runs/<scenario>-<seed>-<n>`.
+        runs: The folder in which the default directory is created.
+        seed: The root seed of all random streams, from 0. The same seed on the same machine gives the same weights.
+        total_timesteps: Number of steps, summed over all rows of the environment; by default that of the scenario. On-policy algorithms
+            complete their current rollout, so they may take a few more steps.
+        stop_when_solved: Whether to stop when training episodes, and then an evaluation, meet the criterion `solved` of the scenario.
+        stage: Name of the stage of the curriculum in which to begin; by default the first.
+        keep_checkpoints: Number of models to keep at equal distances of steps, in addition to the best and the last one.
+        initialize_from: A run whose best policy initializes this one, tensor by tensor if names and shapes are the same.
+        callbacks: Names of callbacks that installed packages register.
+        loggers: Names of loggers in addition to TensorBoard: `csv`, and loggers that installed packages register.
+        progress: Whether to report progress on standard error, or your own `Reporter`.
         command: The command line, for the record.
-        engine: The physics engine; by default that of the scenario, else `pybullet` where it is installed.
-        build: Makes a world of the scenario in place of the generated supervisor.
-        on_start: Called with the run directory, once it is made.
+        engine: The physics engine. By default the engine of the scenario; if it names none, `pybullet`, or the first installed engine.
+        build: Function that makes a world of the scenario, in place of the generated supervisor.
+        on_start: Called with the run directory once it exists.
 
     Raises:
-        UsageError: The directory exists, there is no such stage, callback or logger, or the settings cannot be trained with.
+        UsageError: The directory exists, a stage, callback or logger does not exist, or the settings are invalid for training.
         RunError: The training diverged; the last good model is kept.
-        DeepbotsError: The world, a callback or a logger failed; names step and cause.
+        DeepbotsError: The world, a callback or a logger failed; the message gives step and cause.
     """
     compiled = api.compile(scenario)
     training = _training_of(compiled.program, total_timesteps, callbacks)
@@ -165,23 +166,24 @@ def resume(
     permissions: Permissions = Permissions(),
     build: WorldFactory | None = None,
 ) -> TrainingResult:
-    """Go on with a run from its last checkpoint, in the same directory.
+    """Continue a run from its last checkpoint, in the same directory.
 
-    On the same machine, with the same versions and the same goal, weights and logs become those of a training that was never
-    interrupted, to the bit; only times differ. Where this cannot be, the result says why (`inexact`).
+    On the same machine, with the same versions and the same total, weights and logs are bit for bit those of a training without
+    interruption; only times differ. Otherwise `inexact` of the result lists the reasons.
 
     Args:
         run: The directory of the run.
-        total_timesteps: The new goal, counted from the very start; the run's own by default.
-        stop_when_solved: The run's own by default. A run that ended because it was solved goes on regardless.
-        callbacks: In the place of the run's own, from now on; () for none. Weights may then differ. Likewise `loggers`.
+        total_timesteps: The new total, counted from the start of the run; by default as in the run.
+        stop_when_solved: By default as in the run. A run that stopped because it was solved continues without this criterion.
+        callbacks: Callbacks from now on; by default those of the run, () for none. A change may change the weights.
+        loggers: Loggers from now on, likewise.
         permissions: With `code`, terms in Python run.
 
     The other arguments are those of `train`.
 
     Raises:
-        RunError: No run, or one that is damaged; else as for `train`.
-        UsageError: The run has already reached its goal, or another training is at work in it.
+        RunError: The folder is not a run, or is damaged; also the errors of `train`.
+        UsageError: The run has already reached its total, or another training uses it.
     """
     path = Source.open(run, Permissions(), SourceKind.RUN).path
     RunRecord.read(path)  # a folder that is no run is told so, whoever is at work in it
@@ -204,7 +206,7 @@ def resume(
         steps = checkpoints.state.statistics.steps if checkpoints.state else 0
         if set(callbacks) != set(record.callbacks):
             before, since = (", ".join(names) or "none" for names in (record.callbacks, callbacks))
-            checkpoints.note(f"the callbacks were {before} before {steps:,} steps and are {since} since")
+            checkpoints.note(f"the callbacks changed at {steps:,} steps from {before} to {since}")
         if steps >= training.total_timesteps and record.status == "finished":  # else it was killed before it said so
             raise UsageError(
                 f"the training of {known.path} is complete ({steps:,} of {training.total_timesteps:,} timesteps);"
@@ -255,11 +257,11 @@ def _validate_setup(program: Program, training: Training, build: WorldFactory, s
         if source is None:
             return None
         found = learner.initialize(source.model("best"))
-        afresh = ", ".join(f"{name} ({reason})" for name, reason in found.not_copied.items())
+        new = ", ".join(f"{name} ({reason})" for name, reason in found.not_copied.items())
         changed = "; ".join(identity.differences(source.program, program))
         return (
             f"{source.path}: {len(found.copied)} of {len(found.copied) + len(found.not_copied)} tensors"
-            f"{f', afresh: {afresh}' if afresh else ''}{f'; the interface differs: {changed}' if changed else ''}"
+            f"{f', new: {new}' if new else ''}{f'; the interface differs: {changed}' if changed else ''}"
         )
 
 
@@ -359,11 +361,11 @@ def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoint
     """The error that ended a training, with what is kept of it and how to use that."""
     known = RunError(unwritable_message(Path(error.filename or run.path), error)) if isinstance(error, OSError) else error
     if checkpoints.description and (isinstance(known, PluginError) or isinstance(known.__cause__ or error, OSError)):
-        known.add_note(f"{checkpoints.description}; go on from there with: deepbots train --resume {quote(str(run.path))}")
+        known.add_note(f"{checkpoints.description}; continue from there with: deepbots train --resume {quote(str(run.path))}")
     elif checkpoints.has_learned:  # going on would fail again, to the bit
         known.add_note(f"{checkpoints.description}; evaluate what was learned with: deepbots eval {quote(str(run.path))}")
     elif checkpoints.description:
-        known.add_note("nothing was learned before this; `deepbots lint --deep SCENARIO` finds expressions that have no value")
+        known.add_note("nothing was learned before; run `deepbots lint --deep SCENARIO` to find expressions that have no value")
     return known
 
 

@@ -54,7 +54,7 @@ class RunVerdict:
         if self.evaluation is None:
             return "not evaluated since the end of the training"
         answer = {True: "; solved", False: "; not solved", None: ""}[self.solved]
-        by_training = " by episodes of the training, which explore" if self.solved and self.evaluation.solved is None else ""
+        by_training = " in training episodes, with exploration" if self.solved and self.evaluation.solved is None else ""
         return f"{self.evaluation.text}{answer}{by_training}"
 
 

@@ -275,16 +275,16 @@ def _item(view: CursorView, choice: Choice, start: int, text: str | None = None)
 _WORD = re.compile(r"[A-Za-z_][\w.]*$")
 _AFTER_NUMBER = re.compile(r"(?<![A-Za-z_\d])(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?:\s+|\s*(?:[A-Za-z%]+(?:\^-?\d)?[*/])+)?$")
 _GRAMMAR = {
-    "when": "`a when c`: a where the condition holds, else 0",
-    "if": "`a if c else b`: a where the condition holds, else b",
-    "else": "`a if c else b`: a where the condition holds, else b",
-    "and": "both conditions hold",
-    "or": "one of the conditions holds",
-    "not": "the condition does not hold",
-    "true": "always holds",
-    "false": "never holds",
+    "when": "`a when c`: a if the condition is true, otherwise 0",
+    "if": "`a if c else b`: a if the condition is true, otherwise b",
+    "else": "`a if c else b`: a if the condition is true, otherwise b",
+    "and": "both conditions are true",
+    "or": "at least one condition is true",
+    "not": "the condition is false",
+    "true": "always true",
+    "false": "never true",
 }
-_REPEATS = {"every": "draws anew each so often: `uniform(0 .. 1) every 5 s`", "each step": "draws anew in every step"}
+_REPEATS = {"every": "draws again after this time: `uniform(0 .. 1) every 5 s`", "each step": "draws again in each step"}
 _CONTEXTS = {"field": Context.FIXED, "require": Context.REQUIRE, "parameter": Context.PARAMETER}
 _ROBOT_CONTEXTS = ("emit", "apply")
 _BODY = "body or link"

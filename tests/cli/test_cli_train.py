@@ -187,7 +187,7 @@ def test_two_runs_of_a_scenario_are_compared_on_the_same_starts(deepbots, traine
     ran = deepbots("compare", "mine", "other", "--episodes", "3")
     assert ran.code == 0, ran.err
     assert "other: the same mean return in every episode" in ran.out
-    assert "each group is one run" in ran.out
+    assert "each group has one run" in ran.out
     found = json.loads(deepbots("compare", "mine", "other", "--episodes", "3", "--json").out)
     assert found["differences"][0]["mean_return"] == {"mean": 0.0, "interval": [0.0, 0.0], "improvement": 0.5}
     one, other = found["groups"]
@@ -201,7 +201,7 @@ def test_a_gate_without_a_success_is_decided_long_before_the_last_episode(deepbo
     found = json.loads(ran.out)
     assert ran.code == 1
     assert found["episodes"] < 30
-    assert f"not met: success rate of at least 0.95 (0 of {found['episodes']} succeed; 95 % confidence sequence" in ran.err
+    assert f"not met: success rate of at least 0.95 (0 of {found['episodes']} episodes succeed; 95 % confidence sequence" in ran.err
     suite = ElementTree.parse(tmp_path / "gate.xml").getroot()
     assert (suite.get("tests"), suite.get("failures")) == ("1", "1")
     assert suite.find("testcase").get("name") == "success rate of at least 0.95"

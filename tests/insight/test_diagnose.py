@@ -75,7 +75,7 @@ def test_logs_alone_tell_some_causes(short):
     levelled = diagnose(_logs(short, 100 - 70 * np.exp(-np.arange(200) / 40) + noise))
     assert not any("still learns" in cause.text for cause in levelled)
     # 1 % of the planned timesteps: later episodes may end in other ways, or succeed
-    assert [cause.text.partition(",")[0] for cause in diagnose(_logs(short, 30 + noise))] == ["The training is short"]
+    assert [cause.text.partition(".")[0] for cause in diagnose(_logs(short, 30 + noise))] == ["The training is short"]
     assert "exploration_collapsed" in _causes(_logs(short, 30 + noise, train__entropy_loss=[-0.6] * 4 + [-0.001] * 10))
 
 
@@ -91,8 +91,8 @@ def test_a_training_that_stays_at_a_local_optimum_is_told_the_term_that_pays_it(
     returns = 100 - 70 * np.exp(-np.arange(200) / 20) + np.random.default_rng(0).normal(0, 3, 200)
     first = diagnose(_logs(aiming, returns, np.full(200, 100), reward__alive=returns))[0]
     assert (first.cause, first.evidence["term"], first.evidence["term_share"]) == ("success_never_seen", "alive", 1.0)
-    assert "'alive' pays 100% of what late episodes gain" in first.text
-    assert "a term that pays for coming nearer" not in first.advice
+    assert "'alive' gives 100% of the positive reward of late episodes" in first.text
+    assert "a reward term for progress" not in first.advice
     assert "path_distance" in first.advice
 
 
@@ -121,7 +121,7 @@ def test_a_policy_that_succeeds_in_a_later_evaluation_is_not_told_to_train_on(ai
 def test_steps_beyond_the_plan_read_sensibly(short):
     training = _logs(short, 30 + np.arange(200) / 4 + np.random.default_rng(0).normal(0, 3, 200))
     (found,) = [cause for cause in diagnose(training) if cause.cause == "too_few_steps"]
-    assert "after 10,984 steps and 200 episodes; the scenario plans 100,000" in found.text
+    assert "10,984 steps in 200 episodes; the scenario sets 100,000" in found.text
 
 
 STAGES = "[{name: wide, set: {near: 6 cm}, until: success_rate >= 80 % over 40 episodes}, {name: exact, set: {near: 1 mm}}]"
@@ -164,11 +164,11 @@ def test_evaluations_of_an_easy_stage_do_not_count_as_solved(staged):
     assert not training.solved
     first = diagnose(training)[0]
     assert first.cause == "easy_stage_counted"
-    assert "stage 'wide', number 1 of 2" in first.text
+    assert "stage 'wide' (1 of 2)" in first.text
     assert "`until: success_rate >= 80 % in evaluation`" in first.advice
     text = statements_about((present_stage,), training)[0].text
     assert "is in stage 'wide' (1 of 2), which began at step 0 of 24,000" in text
-    assert "succeed in 95% (83% to 99%) of 40 episodes" in text
+    assert "succeeds in 95% (83% to 99%) of 40 episodes" in text
     done = [Episode(1.0, 60, k < 6, "max_steps") for k in range(100)]
     (final,) = [each for each in diagnose(replace(training, final_episodes=done)) if each.cause == "easy_stage_counted"]
     assert "in the scenario itself in 6% (3% to 12%) of 100 episodes" in final.text
@@ -197,7 +197,7 @@ def test_a_stage_that_its_criterion_never_ends_is_told_with_what_it_reaches(stag
     good = _outcomes(400, 0.2, 0.5, 0.5, 0.5)
     first = diagnose(_logs(staged, _returns(good, 0), np.full(400, 60), success=good, stages="wide"))[0]
     assert first.cause == "stuck_in_stage"
-    assert "the next stage begins at 80%" in first.text
+    assert "the stage ends at 80%" in first.text
     assert "`until: success_rate >= 4" in first.advice
     rising = _outcomes(400, 0, 0.1, 0.2, 0.75)
     assert "stuck_in_stage" not in _causes(_logs(staged, _returns(rising, 0), np.full(400, 60), success=rising, stages="wide"))
@@ -280,7 +280,7 @@ def test_a_success_that_earns_less_than_its_absence_is_named(carriage):
     good = _outcomes(400, 0.3, 0.3)
     first = diagnose(_logs(carriage, _returns(good, 5) - 12 * good, np.full(400, 60), success=good))[0]
     assert first.cause == "reward_apart_from_success"
-    assert "with a success return -1.97 " in first.text
+    assert "the mean return is -1.97 in " in first.text
     falling = _outcomes(400, 0.6, 0.1, 0.1)
     first = diagnose(_logs(carriage, _returns(falling, 0, 9), np.full(400, 60), success=falling, reward__closer=np.arange(20.0)))[0]
     assert (first.cause, first.evidence["term"]) == ("reward_apart_from_success", "closer")
@@ -297,7 +297,7 @@ def test_dying_early_is_named_with_the_success_rate_from_which_going_on_pays(tmp
     first = diagnose(training)[0]
     assert first.cause == "ending_early_pays"
     assert first.evidence["break_even"] == pytest.approx((-5 - 2 * lengths[40:].mean() + 120) / (-20 + 120), abs=1e-6)
-    assert "going on pays only if 8" in first.text
+    assert "continuing pays only if at least 8" in first.text
 
 
 def test_a_training_that_runs_is_not_told_to_resume(carriage, tmp_path, capsys):
@@ -441,7 +441,7 @@ def test_failed_episodes_that_a_time_limit_ended_print_no_blank_lines(short, tmp
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "episode 0: 'max_steps' at 0.16 s"
     assert lines[1].strip().startswith("The episode reached 5 of at most 5 (max_steps).")
-    assert "'kept' needs" in lines[1]
+    assert "'kept' requires" in lines[1]
     assert all(line.strip() for line in lines)
 
 

@@ -189,7 +189,7 @@ def test_the_condition_that_a_missed_success_lacks_is_named_and_not_one_that_hel
     trace = _traced(tmp_path / "one.mcap")
     assert trace.outcome == "failure"
     (found,) = [each for each in explain(trace) if each.cause == "nearest"]
-    assert f"'kept' needs {needed}; " in found.text
+    assert f"'kept' requires {needed}; " in found.text
     assert not found.evidence["holds"]
     assert found.evidence["margin"] < 0
     assert f" {value}, at " in found.text
@@ -205,8 +205,8 @@ def test_a_missed_duration_is_explained_by_the_comparisons_inside_it(tmp_path):
     assert (near["condition"], near["bound"], near["step"]) == ("abs(x) < 1 mm", pytest.approx(1e-3), 0)
     assert (slow["condition"], slow["bound"]) == ("abs(speed) < 0.001 mm/s", pytest.approx(1e-6))
     assert near["steps"] > 0
-    assert "`abs(x) < 1 mm` held in" in found.text
-    assert "of 0.001 m at 0.00 s" in found.text
+    assert "`abs(x) < 1 mm` was true in" in found.text
+    assert " at 0.00 s, threshold 0.001 m" in found.text
 
 
 def test_the_time_in_which_a_cost_arose_is_told(tmp_path):

@@ -94,7 +94,7 @@ def _train(training: Training) -> str:
     """The section in YAML."""
     section: dict[str, Any] = {name: getattr(training, name) for name in ("algorithm", "total_timesteps", "environments")}
     section |= {entry.name: _figure(entry.value) for entry in training.hyperparameters}
-    section["policy"] = {"hidden": list(training.network.hidden), "activation": training.network.activation}
+    section["network"] = {"hidden": list(training.network.hidden), "activation": training.network.activation}
     if training.action_noise is not None:
         noise = training.action_noise
         section["action_noise"] = {"type": noise.type, "sigma": _figure(noise.sigma)}

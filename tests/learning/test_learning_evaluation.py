@@ -38,7 +38,7 @@ def test_evaluate_takes_the_path_of_a_run_as_text(trained: TrainingResult) -> No
 
 
 def test_evaluate_takes_another_scenario_by_its_path_as_train_does(trained: TrainingResult) -> None:
-    with pytest.raises(RunError, match="was trained for another observation"):
+    with pytest.raises(RunError, match="was trained with other observations"):
         evaluate(trained.run, episodes=1, scenario="cartpole", build=stand_in.build)
 
 
@@ -168,7 +168,7 @@ def test_an_evaluation_that_already_excludes_what_is_asked_for_says_so() -> None
     solved = Solved(100, success_rate=0.95)
     met, verdict = solved_verdict(solved, 30, 0.0, 0.0)
     assert met is False
-    assert verdict.startswith("not solved: a success rate of 95.0% is required, and 0 of 30 succeed")
+    assert verdict.startswith("not solved: a success rate of 95.0% is required, and 0 of 30 episodes succeed")
     assert solved_verdict(solved, 30, 0.0, 0.97)[0] is None
 
 

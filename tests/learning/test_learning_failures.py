@@ -48,7 +48,7 @@ def test_a_scenario_without_a_value_is_told_with_its_place_and_repeated_from_a_f
     assert failure.error in text
     assert error is not None
     assert text.startswith(error)
-    assert "nothing was learned before this; `deepbots lint --deep SCENARIO` finds" in notes
+    assert "nothing was learned before; run `deepbots lint --deep SCENARIO`" in notes
     assert "deepbots eval" not in notes
 
 

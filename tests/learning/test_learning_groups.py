@@ -139,7 +139,7 @@ def test_the_gate_of_a_group_stops_when_the_other_seeds_cannot_change_the_answer
     assert successes >= 15 or successes + 30 - done < 15
     [(_, met, reason)] = gates.requirements_of_group(found, 30)
     assert met == (successes >= 15)
-    assert f"which the remaining {30 - done} episodes cannot change" in reason
+    assert f"the remaining {30 - done} episodes cannot change the result" in reason
 
 
 def test_two_groups_are_compared_by_their_seeds_though_their_scenario_is_the_same(trained_group: GroupTraining, tmp_path: Path) -> None:

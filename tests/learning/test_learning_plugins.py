@@ -123,7 +123,7 @@ def test_a_resumed_run_and_the_seeds_of_a_group_keep_them(tmp_path: Path) -> Non
     assert "--callback none" in caught.value.full_message
     rest = resume(run, build=stand_in.build, total_timesteps=200, callbacks=(), loggers=())
     assert (rest.steps >= 200, rest.stopped_by) == (True, None)
-    assert rest.inexact == ("the callbacks were gone before 0 steps and are none since",)
+    assert rest.inexact == ("the callbacks changed at 0 steps from gone to none",)
     assert (RunRecord.read(run).callbacks, RunRecord.read(run).loggers) == ((), ())
 
 

@@ -333,7 +333,7 @@ def test_a_world_that_does_not_repeat_itself_is_told_and_the_training_goes_on(tm
 
     run = train(compiled_of("PPO"), run=tmp_path / "run", total_timesteps=400, build=Moody).run
     result = resume(run, total_timesteps=800, build=Moody)
-    assert "restarted" in result.inexact[0]
+    assert "new episodes began" in result.inexact[0]
     assert f"note: {result.inexact[0]}" in training_text(result)
 
 
@@ -359,7 +359,7 @@ def test_a_training_begins_with_the_policy_of_another_run_and_says_what_it_took_
     wider = stand_in.compiled(training=Training("PPO", 96, 3, hyper(n_steps=32, batch_size=32), Network((64, 32))))
     taken = train(wider, run=tmp_path / "wider", initialize_from=first.run, build=stand_in.build).initialized_from
     assert taken is not None
-    assert "afresh: " in taken
+    assert "new: " in taken
     strange = stand_in.compiled(training=Training("DQN", 96, 1, hyper(learning_starts=50), Network((7,))))
     with pytest.raises(UsageError, match="no tensor"):
         train(strange, run=tmp_path / "other", initialize_from=first.run, build=stand_in.build)
@@ -374,7 +374,7 @@ def test_a_folder_that_cannot_be_written_leaves_the_last_good_state(tmp_path: Pa
     (run / "models" / "agent" / "last.zip").mkdir()
     with pytest.raises(RunError, match=r"cannot be written.*") as caught:
         resume(run, total_timesteps=1_000, build=stand_in.build)
-    assert f"is kept; go on from there with: deepbots train --resume {run}" in caught.value.full_message
+    assert f"is kept; continue from there with: deepbots train --resume {run}" in caught.value.full_message
     assert checkpoints.latest_checkpoint(Run.open(run)) == before
     assert evaluate(run, episodes=1, build=stand_in.build).episodes == 1
 
@@ -407,7 +407,7 @@ def test_a_training_without_room_for_a_checkpoint_keeps_the_last_one_and_becomes
     cut = shutil.copytree(whole, tmp_path / "cut")
     with files_of_at_most(8_000), pytest.raises(UsageError, match=r"cannot be written: file too large") as caught:
         resume(cut, total_timesteps=1_000, build=stand_in.build)
-    assert f"is kept; go on from there with: deepbots train --resume {cut}" in caught.value.full_message
+    assert f"is kept; continue from there with: deepbots train --resume {cut}" in caught.value.full_message
     for run in (whole, cut):
         resume(run, total_timesteps=1_000, build=stand_in.build)
     for part in ("models", "monitor", "scalars"):

@@ -139,7 +139,7 @@ def test_a_policy_is_measured_against_a_bar_at_every_level(trained: TrainingResu
     brief: dict[str, Any] = {"episodes": 1, "overrides": ["truncation.max_steps=5"], "build": stand_in.build}
     strict = evaluate_robustness(trained.run, min_return=1e6, **brief)
     # A single episode has no interval.
-    assert {condition.threshold for condition in strict.conditions} == {"below the bar at all levels; uncertain at all levels"}
+    assert {condition.threshold for condition in strict.conditions} == {"below the bar at all levels; not significant at all levels"}
     assert (found.nominal_holds, strict.nominal_holds) == (True, False)
     assert (found.nominal_certain, strict.nominal_certain) == (True, False)
     assert "below, uncertain" in robustness_text(strict).splitlines()[4]  # the row without any change

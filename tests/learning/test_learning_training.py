@@ -190,7 +190,7 @@ def test_sigterm_ends_a_training_with_the_command_that_continues_it(tmp_path: Pa
 
     result = short(tmp_path, total=50_000, progress=Terminated(), build=stand_in.build)
     assert result.interrupted
-    assert f"stopping after this roll-out; continue with: deepbots train --resume {result.run}\n" in capsys.readouterr().err
+    assert f"stopping after this rollout; continue with: deepbots train --resume {result.run}\n" in capsys.readouterr().err
     assert f"continue the training with: deepbots train --resume {result.run}" in training_text(result)
 
 

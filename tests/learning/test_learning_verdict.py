@@ -75,7 +75,7 @@ def test_an_answer_of_the_training_says_that_it_is_one(run_copy: Path) -> None:
     (run_copy / "run.json").write_text(json.dumps(record))
     verdict = run_verdict(run_copy, Run.open(run_copy).record)
     assert verdict.solved is True
-    assert verdict.text.endswith("(fewer than 10 episodes); solved by episodes of the training, which explore")
+    assert verdict.text.endswith("(fewer than 10 episodes); solved in training episodes, with exploration")
 
 
 def test_equal_returns_are_not_shown_as_an_interval_around_them(run_copy: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -345,7 +345,7 @@ class Gates:
         """The answers for the means over the seeds of a group."""
         count, left = len(group.evaluations), planned - sum(result.episodes for result in group.evaluations)
         over = f"over {count} seed{'' if count == 1 else 's'}"
-        over += f", which the remaining {left} episodes cannot change" if left > 0 else ""
+        over += f"; the remaining {left} episodes cannot change the result" if left > 0 else ""
         unsolved = [result.run.name for result in group.evaluations if not result.solved]
         found = []
         if self.solved:

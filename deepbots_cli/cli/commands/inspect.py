@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _CAPTIONS = {
     "observation": "low .. high is mapped to the range in `seen_as`; values outside are clipped",
     "poses": "end links of the robots at the start of the episode with seed 0, in the world frame",
-    "drawn": "values that each reset draws anew, in SI units",
+    "drawn": "values that each reset draws, in SI units",
     "hyperparameters": "`from` names the source of each value: the scenario, or the default of deepbots or of the library",
     "timing": "the physics step of each action and measurement, for step n = 0, 1, ... of the agent; the first physics step is 1",
 }

@@ -244,7 +244,7 @@ def _show_training(text: str, data: object, stopped: bool, *, as_json: bool) -> 
 def _evaluating(trained: Path, *, quiet: bool) -> Iterator[None]:
     """The evaluation after a training; an interruption ends the command."""
     if not quiet:
-        terminal.note("evaluating on held-out episodes, without the exploration of the training, so returns differ ...")
+        terminal.note("evaluating on held-out episodes without exploration, so returns differ from those of the training ...")
     try:
         yield
     except KeyboardInterrupt:

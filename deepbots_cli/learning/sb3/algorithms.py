@@ -106,7 +106,7 @@ def create(
             models.append(kind_of_model(policy, env, **settings))
     except (AssertionError, MemoryError, RuntimeError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())
-        raise UsageError(f"{training.algorithm} refuses the settings under 'train': {reason}") from error
+        raise UsageError(f"{training.algorithm} does not accept the settings under 'train': {reason}") from error
     except Exception as error:
         if training.algorithm == algorithm.base():
             raise

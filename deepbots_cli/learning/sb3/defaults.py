@@ -60,20 +60,20 @@ _PPO = {
     "n_steps": Default(lambda training, *_: _roll_out(training), "256 / `environments`, rounded down to a multiple of 32, at least 32"),
     "batch_size": Default(
         lambda training, *_: _batch(training),
-        "64, or 32 where a default roll-out of all environments is not a multiple of 64; from 16 `environments` on, an eighth of it",
+        "64, or 32 if a default rollout of all environments is not a multiple of 64; from 16 `environments` on, an eighth of it",
     ),
     "gae_lambda": Default(lambda *_: 0.9, "0.9"),
     # Narrow layers bear, and need, larger steps; 64x64 learns as fast at a third of the rate and is steadier there.
     "learning_rate": Default(
         lambda training, *_: 3e-3 if max(training.network.hidden, default=0) <= 32 else 1e-3,
-        "0.003 for layers of up to 32 units, else 0.001",
+        "0.003 for layers of up to 32 units, otherwise 0.001",
     ),
 }
 _OFF_POLICY = {
     # Hindsight takes goals from episodes that have ended, so learning waits for the first.
     "learning_starts": Default(
         lambda training, total, longest: max(1_000, longest * training.environments) if training.replay else min(1_000, total // 10),
-        "1_000, or a tenth of `total_timesteps` where that is less; with `replay: her` as many steps as the longest episode takes in all"
+        "the smaller of 1_000 and a tenth of `total_timesteps`; with `replay: her`, the steps of the longest episode in all"
         " environments, at least 1_000",
     ),
     "replay": Default(lambda *_: _UNIFORM, "uniform"),
