@@ -38,13 +38,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Compiled:
-    """A compiled scenario with all that a run records of it.
+    """A compiled scenario, with everything that a run records of it. `code` and `digest` are computed on first use.
 
-    `code` is printed, and `digest` computed, when first asked for. `inputs` maps a relative path for the copy of every file that was
-    read to its bytes, the scenario first; `resolved` is the merged scenario as YAML, which compiles to the same beside a folder `inputs`
-    of those copies; `findings` is what `lint` says of it: warnings, and rules that failed (DB903); `permissions` are those that it was
-    read with; `fixed` are the parameters that no episode draws; `edited_code` is the edited module of a project, which replaces the
-    printed one; `overrides` are the assignments of `--set`.
+    Attributes:
+        program: The compiled scenario.
+        source: The path of the scenario.
+        inputs: The content of every file that was read, by the relative path of its copy in a run; the scenario comes first.
+        resolved: The merged scenario as YAML, which compiles to the same program next to a folder `inputs` with these copies.
+        findings: The findings of `lint`: warnings, and internal errors of rules (DB903).
+        permissions: The permissions with which it was read.
+        fixed: The parameters that no episode draws.
+        edited_code: The edited module of a project, which replaces the generated one.
+        overrides: The assignments of `--set`.
     """
 
     program: Program
@@ -83,15 +88,16 @@ def load(
     """Read and check a scenario; problems are in `.findings`, and nothing is raised for them.
 
     Args:
-        source: A path, the name of a shipped scenario, or a `Scenario`; or an open source, which has permissions of its own.
+        source: A path, the name of a shipped scenario, or a `Scenario`; or an open source, which has its own permissions.
         overrides: Assignments `path=value`, as for `--set`.
-        permissions: Folders outside the project that it may read from, and whether it may name functions of installed packages, which
-            run when an environment is made of it.
-        drafts: What to read in the place of files, by their absolute paths.
-        tests: Whether to read `tests` also with `overrides`, which may change what the tests name.
+        permissions: Folders outside the project from which the scenario may read files, and whether it may name functions of installed
+            Python packages. These functions run in environments, not in this call.
+        drafts: Contents to read instead of files, by their absolute paths.
+        tests: Whether to read `tests` even if there are `overrides`. By default `tests` are left out then, because an override may remove
+            what they name.
 
     Raises:
-        UsageError: There is no such file.
+        UsageError: The file does not exist.
     """
     opened = source if isinstance(source, Source) else Source.open(source, permissions, SourceKind.SCENARIO)
     return opened.checked(overrides=overrides, drafts=drafts, tests=tests)
@@ -104,10 +110,10 @@ def lint(
     permissions: Permissions = Permissions(),
     preview: bool = False,
 ) -> list[Finding]:
-    """All findings of a scenario, sorted; suppressed ones are left out, and those of rules in preview unless they are asked for.
+    """All findings of a scenario, sorted, without suppressed findings; with those of rules in preview only if `preview` is set.
 
     Raises:
-        UsageError: There is no such file.
+        UsageError: The file does not exist.
     """
     checked = load(source, overrides=overrides, permissions=permissions)
     try:
@@ -122,11 +128,11 @@ def compile(
     overrides: Sequence[str] = (),
     permissions: Permissions = Permissions(),
 ) -> Compiled:
-    """Compile a scenario: text to intermediate representation to generated Python; a compiled one is returned as it is.
+    """Compile a scenario to a program, from which deepbots generates Python. A compiled scenario is returned unchanged.
 
     Raises:
         ScenarioError: The scenario has findings at error level.
-        UsageError: There is no such file.
+        UsageError: The file does not exist.
     """
     if isinstance(source, Compiled):
         return source
@@ -160,13 +166,13 @@ def make(
     """The Gymnasium environment of a scenario.
 
     Args:
-        engine: `pybullet`, `mujoco`, or an engine that another package registers; by default that of the scenario, else `pybullet` where
-            it is installed.
+        engine: `pybullet`, `mujoco`, or an engine of another package. By default the engine of the scenario; if it names none, `pybullet`,
+            or the first installed engine with a warning.
         render_mode: None, or `rgb_array`.
 
     Raises:
         ScenarioError: The scenario has findings at error level.
-        UsageError: There is no such file, engine or render mode.
+        UsageError: The file, the engine or the render mode does not exist.
         MissingExtraError: The simulator is not installed.
         EngineError: The engine cannot build this world.
     """
@@ -188,20 +194,20 @@ def make_vec(
 ) -> BatchEnvironment:
     """Many worlds of a scenario as one `gymnasium.vector.VectorEnv`, stepped together on all cores.
 
-    World i lives the same episodes as the single world of `make` with its seed. An episode that ends is followed by the next one in the
-    same step, as `AutoresetMode.SAME_STEP` says: `final_obs` and `final_info` tell of its end.
+    World i runs the same episodes as an environment of `make` with the seed of world i. When an episode ends, the next one begins in the
+    same step (`AutoresetMode.SAME_STEP`): `final_obs` and `final_info` contain its last observation and info.
 
-    Call `torch.set_num_threads(1)` before a loop of your own that trains or acts with torch: networks of this size are many times slower
-    on several threads. deepbots does not change the threads of your process.
+    Call `torch.set_num_threads(1)` before your own loop that trains or acts with torch: networks of this size are many times slower on
+    several threads. deepbots does not change the number of threads of your process.
 
     Args:
-        num_envs: How many worlds, from 1.
+        num_envs: Number of worlds, from 1.
         engine: `mujoco` is the only engine with batches of worlds.
 
     Raises:
         ScenarioError: The scenario has findings at error level.
-        BatchError: A batch cannot hold the scenario, or the engine has no batches; says why.
-        UsageError: There is no such file.
+        BatchError: The scenario or the engine does not support batches; the message gives the reason.
+        UsageError: The file does not exist.
         MissingExtraError: The simulator is not installed.
     """
     if isinstance(source, (str, Path, Scenario, CheckedScenario)):

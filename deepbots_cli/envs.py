@@ -3,8 +3,7 @@
     gymnasium.make("deepbots_cli.envs:deepbots/CartPole-v1")
     gymnasium.make("deepbots_cli.envs:deepbots/Scenario-v1", scenario="my.yaml", overrides=["fall_angle=10deg"])
 
-Importing this module is all it takes. A scenario limits its own episodes, so no time limit is wrapped
-around it.
+Importing this module registers them. A scenario limits its own episodes, so Gymnasium adds no time limit.
 """
 
 from __future__ import annotations
@@ -23,10 +22,10 @@ ANY_SCENARIO = "deepbots/Scenario-v1"
 
 
 def make_scenario(scenario: str | Path | None = None, **options: Any) -> Supervisor:
-    """The environment of `scenario`, a path or the name of a shipped one; `options` are the other arguments of `deepbots_cli.make`.
+    """The environment of `scenario`, a path or the name of a shipped scenario; `options` are the other arguments of `deepbots_cli.make`.
 
     Raises:
-        UsageError: No scenario is named; else as for `deepbots_cli.make`.
+        UsageError: `scenario` is None; also the errors of `deepbots_cli.make`.
     """
     if scenario is None:
         raise UsageError(f'{ANY_SCENARIO} needs a scenario: gymnasium.make("deepbots_cli.envs:{ANY_SCENARIO}", scenario="my.yaml")')

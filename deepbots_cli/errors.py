@@ -1,12 +1,12 @@
 """The exceptions that deepbots raises, as a tree.
 
-    DeepbotsError               a problem that the user can fix; the command line prints it as one line
+    DeepbotsError               a problem that the user can fix; the command line prints its message
     ├── ScenarioError           a scenario has findings at error level; carries them
     ├── UsageError              wrong arguments, a missing file, an unknown engine (exit code 2)
     │   ├── BatchError          the scenario cannot run in a batch of worlds
     │   ├── MissingExtraError   an optional dependency is not installed
     │   └── RunError            a run directory cannot be used: missing, damaged, or of another version
-    ├── MessageError            a message between robot and supervisor is malformed, short or foreign
+    ├── MessageError            a message between robot and supervisor does not have the expected layout
     ├── EvaluationError         an expression has no value in the present state of the world
     ├── PluginError             the code of a callback or logger of another package failed
     └── EngineError             the physics failed: a pose is not finite, a body cannot be loaded

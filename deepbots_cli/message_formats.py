@@ -32,11 +32,11 @@ _CODECS = "deepbots_cli.runtime.messages"
 FORMATS: PluginTable[MessageFormat] = PluginTable(
     "deepbots.formats",
     {
-        "csv": MessageFormat("Numbers as text, parted by commas.", f"{_CODECS}:csv_codec"),
+        "csv": MessageFormat("Numbers as text, separated by commas.", f"{_CODECS}:csv_codec"),
         "json": MessageFormat("A list in JSON.", f"{_CODECS}:json_codec"),
-        "struct": MessageFormat("Bytes in a fixed layout, the shortest to write and to read.", f"{_CODECS}:struct_codec"),
+        "struct": MessageFormat("Bytes in a fixed layout: short messages, fast to encode and decode.", f"{_CODECS}:struct_codec"),
         "msgpack": MessageFormat("A list in MessagePack.", f"{_CODECS}:msgpack_codec"),
-        "none": MessageFormat("No messages: the supervisor acts on the robot directly.", ""),
+        "none": MessageFormat("No messages: the supervisor controls the robot directly.", ""),
     },
     _read,
 )

@@ -40,11 +40,11 @@ _MAX_LISTED = 20
 
 @dataclass(frozen=True)
 class Permissions:
-    """What a scenario may use besides shipped files and those of its project.
+    """What a scenario may use besides shipped files and files of its project.
 
     Attributes:
-        folders: Further folders that it may read from.
-        code: Whether it may call the Python functions that it names, of installed packages; only for packages that you trust.
+        folders: Further folders from which it may read files.
+        code: Whether it may call functions of installed Python packages that it names. Set it only for packages that you trust.
     """
 
     folders: Texts[str | Path] = ()

@@ -1,13 +1,13 @@
 """Experience for a learner, fragment by fragment.
 
-A `Collector` gives the learner its next fragment: the rows of some steps, the episodes that ended, and what a shard needs to go on from.
-`LocalCollector` steps worlds in this process. A shard is the worlds of one collector; shards in other processes or on other machines are
-another implementation of the same interface. On-policy algorithms take any collector. Three properties make shards give the same experience
-wherever they run:
+A `Collector` returns the next fragment for the learner: the rows of some steps, the episodes that ended, and the state from which a shard
+continues. `LocalCollector` steps worlds in this process. A shard is the worlds of one collector; shards in other processes or on other
+machines are another implementation of the same interface. On-policy algorithms take any collector. The experience does not depend on where
+shards run, because:
 
-- A shard has worlds with seeds and random streams of their own, and acts by its copy of the policy.
+- The worlds of a shard have their own seeds and random streams, and a shard acts with its own copy of the policy.
 - Fragments are joined by the number of their shard (`join`), never by the order in which they arrive.
-- A shard can hand back its `ShardState`, from which another one goes on to the bit: the running episodes, as starts and actions.
+- A shard returns its `ShardState`: the start and the actions of each running episode. Another shard can continue from it exactly.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from deepbots_cli.runtime.spaces import by_part
 
 
 class Decision(NamedTuple):
-    """What an actor returns for each row: the `actions` that the worlds take, and arrays by name that the fragment keeps."""
+    """The output of an actor: `actions` for the worlds, one per row, and further arrays (`columns`) to store in the fragment."""
 
     actions: Array
     columns: Mapping[str, Array] = {}
@@ -34,7 +34,7 @@ class Decision(NamedTuple):
 Actor = Callable[[Any, Array, Array | None], Decision]
 """Acts on the observations of all rows, given which rows begin an episode, and which options are allowed (None: all)."""
 OnStep = Callable[[WorldsStep], bool]
-"""Called after each step of all rows; returns whether to go on."""
+"""Called after each step of all rows; returns whether to continue."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,11 @@ class Fragment:
     """The experience of some steps: arrays of shape (steps, rows, ...), or a dictionary of arrays for observations with parts.
 
     Attributes:
-        observations: What the agents acted on.
-        actions: What the worlds took.
+        observations: The observations on which the agents acted.
+        actions: The actions of the agents.
         rewards: float32.
         starts: Whether an episode began with the observation.
-        columns: What the actor returned beside the actions, such as values and log-probabilities.
+        columns: Further arrays of the actor, such as values and log-probabilities.
         following: The observations after the last step, of shape (rows, ...).
         following_starts: Whether an episode begins with them.
         endings: The episodes that ended, each with the number of the step, in the order of steps and rows.
@@ -63,7 +63,7 @@ class Fragment:
 
 
 class ShardState(NamedTuple):
-    """The running episode of each world, and the digest of the observations that they have come to."""
+    """The running episode of each world, and the digest of their present observations."""
 
     episodes: list[EpisodeHistory]
     observed: str

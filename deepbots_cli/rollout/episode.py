@@ -131,8 +131,8 @@ def set_random_state(world: gym.Env[Any, Any], state: dict[str, Any]) -> None:
 class Episode:
     """One finished episode; `terms` are the reward terms, summed over it.
 
-    Of an evaluation, `seed` is the seed of the reset that it began with, and `drawn` holds what this reset drew, by the place in the
-    scenario, such as `parameters.mark` (SI units; see `Supervisor.reset`).
+    For an episode of an evaluation, `seed` is the seed of its reset, and `drawn` contains the drawn values in SI units by their path in the
+    scenario, such as `parameters.mark` (see `Supervisor.reset`).
     """
 
     total_return: float

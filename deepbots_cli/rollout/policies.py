@@ -1,8 +1,8 @@
 """Episodes of a policy, in several worlds at a time with results that do not depend on how many.
 
-A matrix product may round a row otherwise when it stands in another place or among another number of rows, and a rounding is enough to tip
-an action. Every forward pass therefore has `FORWARD_BATCH_SIZE` rows, and episode k always sits in row k mod `FORWARD_BATCH_SIZE`; what the
-other rows hold does not touch it. This, and the same starts for every policy, is what `evaluate_policy` of learning libraries cannot do.
+The rounding of a matrix product depends on the number of rows and on the index of a row, and a rounding error can change an action.
+Therefore every forward pass has `FORWARD_BATCH_SIZE` rows, and episode k always uses row k mod `FORWARD_BATCH_SIZE`. The content of other
+rows does not affect it. `evaluate_policy` of learning libraries provides neither this nor the same starts for every policy.
 """
 
 from __future__ import annotations
@@ -49,8 +49,9 @@ def play_episodes(
 ) -> list[Episode]:
     """One episode from each seed, in the order of `seeds`.
 
-    Uses up to `FORWARD_BATCH_SIZE` of the worlds; a sampling policy or a team only one. With `until`, the episodes end with the first one
-    after which it returns True. Episodes count in the order of their seeds, so the result is the same for any number of worlds.
+    Runs up to `FORWARD_BATCH_SIZE` worlds at a time; a policy that samples, or a world with several agents, uses only one. With `until`,
+    the result ends with the first episode for which it returns True. Episodes are in the order of `seeds`, so the result is the same for
+    any number of worlds.
     """
     on_episode, until = on_episode or (lambda done, of: None), until or (lambda episodes: False)
     episodes: list[Episode] = []
@@ -159,11 +160,11 @@ def play_batch(
 class PolicyDriver(Driver):
     """The policy of a model.
 
-    In an episode with a number, the actions are to the bit those of the episode of this number in an evaluation. For copies of a robot
-    they always are: each forward pass has a row for each copy.
+    If the start of an episode has a number, the actions are bit for bit those of the evaluation episode with this number. For copies of a
+    robot this is always true, because each forward pass has one row per copy.
 
     Args:
-        batch: That of `world`, in all of whose worlds the policy acts, with a row for each.
+        batch: The batch of `world`; the policy then acts in all of its worlds, with one row per world.
     """
 
     def __init__(

@@ -68,7 +68,7 @@ class Source:
         """What `source` names, which must be one of `kinds` if any are given; `permissions` are those of a scenario that is named.
 
         Raises:
-            UsageError: It is none of these, in one sentence; a RunError where a run or a group is wanted.
+            UsageError: `source` is none of these. A RunError if a run or a group is expected.
         """
         if isinstance(source, Scenario):
             return cls(SourceKind.SCENARIO, f"<Scenario {source.name}>", Path(), source, permissions)

@@ -72,7 +72,7 @@ class Worlds:
         seeds: The seed of each.
         on_step: Called after the step of each row.
         on_episode: Called after each episode of a row with the number of its world.
-        next_world: Called before a world begins another episode; may give another world to go on in, and its seed.
+        next_world: Called before a world begins its next episode. It may return a replacement world and its seed.
     """
 
     def __init__(

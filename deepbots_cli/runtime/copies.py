@@ -196,9 +196,9 @@ def result_of_all(copies: Sequence[CopyResult]) -> CopyResult:
 class CopiesSupervisor(Supervisor):
     """The environment of all copies: observations and actions have a row for each, in the order of `agents`.
 
-    Each agent has rewards, endings and channels of its own. Each copy draws for its own robot. Parameters, and draws for the world and for
-    other bodies, have one value for all copies; the first copy draws it. The episode ends for all when it ends for one. The reward is the
-    mean over the copies. `info["each"]` holds the reward of each copy, whether it terminated, and whether it succeeded.
+    Each agent has its own rewards, endings, channels, and draws for its robot. Parameters, and draws for the world and for other bodies,
+    have one value for all copies; the first copy draws it. If the episode ends for one copy, it ends for all. The reward is the mean over
+    the copies. `info["each"]` contains the reward of each copy, whether it terminated, and whether it succeeded.
     """
 
     def __init__(

@@ -183,22 +183,22 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
     # Gymnasium
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
-        """Begin an episode; a seed fixes this one and all that follow without one.
+        """Begin an episode. A seed determines this episode and all following ones until the next seed.
 
         Args:
             seed: The root of all random streams, a whole number from 0.
-            options: Values of this episode in place of draws, by the names of `drawn`: parameters (`mark.x`), places and joints
-                (`reset.place.block.x`), and all else that is drawn. Numbers in SI units; a vector (`mark`) as a sequence. Other draws
-                stay as they are. `options=info["drawn"]` repeats the start of that episode.
+            options: Values of this episode in place of draws, by the names of `drawn`: parameters (`mark.x`), poses and joints
+                (`reset.place.block.x`), and all other draws. Numbers are in SI units, a vector (`mark`) is a sequence. Other draws do not
+                change. `options=info["drawn"]` repeats the start of that episode.
 
         Returns:
-            The observation, float32 in the observation space, and the info of a step. This info also holds `drawn`: what this reset
-            drew, in SI units, a number or a word for each name. A parameter has its own name (`mark.x`), all else its place in the
+            The observation, float32 in the observation space, and the info of a step. This info also contains `drawn`: the drawn values
+            in SI units, a number or a word for each name. The name of a parameter is its own (`mark.x`), other names are paths in the
             scenario (`reset.joints.cart.pole_hinge`). Values that change within an episode, and noise, are left out.
 
         Raises:
-            EvaluationError: An expression has no value, or the episode would end before its first step; names it.
-            UsageError: `options` holds an unknown name, or a value that the episode could not have drawn. The episode goes on.
+            EvaluationError: An expression has no value, or the episode would end before its first step; the message names it.
+            UsageError: `options` contains an unknown name, or a value that the episode cannot draw. The running episode continues.
         """
         if self._closed:
             raise UsageError(_CLOSED)
@@ -259,8 +259,8 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
         Raises:
             UsageError: Before the first reset, or with an action outside the action space.
-            EngineError: The world is no longer finite.
-            EvaluationError: An expression has no value, or the reward is not finite; shows which.
+            EngineError: The state of the world contains infinite or NaN values.
+            EvaluationError: An expression has no value, or the reward is not finite; the message shows which.
             MessageError: A message does not fit its layout.
         """
         try:
@@ -271,9 +271,9 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         return self.get_observations(), self.get_reward(), terminated, truncated, self.get_info()
 
     def random_state(self) -> dict[str, Any]:
-        """The states of all random streams, as JSON can hold them.
+        """The states of all random streams, as values for JSON.
 
-        An episode that begins from them and takes the same actions is the same.
+        The same states and the same actions give the same episode.
         """
         return self.streams.state()
 
@@ -282,13 +282,13 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         self.streams = Streams.restored(state)
 
     def render(self) -> Any:
-        """A picture of the world (uint8, height x width x 3), or None without a render mode."""
+        """An image of the world (uint8, height x width x 3), or None without a render mode."""
         if self.render_mode is None:
             return None
         return self.engine.render(self.view())
 
     def view(self, width: int = 480, height: int = 320) -> View:
-        """The view of `render` in another size: it holds the whole scene, and follows a robot that may leave it."""
+        """The view of `render` in another size: it shows the whole scene, and follows a robot that may leave it."""
         return moved_view(overview(self.scenario, width, height), self._view_shift())
 
     def _view_shift(self) -> Triple:

@@ -34,15 +34,16 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
         """Begin an episode in all worlds.
 
         Args:
-            seed: World i begins from `seed + i`, or from the i-th of several; without, each goes on with its streams.
-            options: Values of this episode in place of draws, the same in every world; see `Supervisor.reset`.
+            seed: World i begins from `seed + i`, or from the i-th seed of a sequence. Without a seed, each world continues its random
+                streams.
+            options: Values of this episode in place of draws, the same in all worlds; see `Supervisor.reset`.
 
         Returns:
-            The observations, and the info of Gymnasium's vector environments, whose `drawn` holds an array with a value per world for
-            each name. Where the scenario forbids choices, `action_mask` is that of a single world, with a row per world.
+            The observations, and the info of Gymnasium's vector environments. Its `drawn` contains, for each name, an array with one value
+            per world. If the scenario forbids choices, its `action_mask` has one row per world.
 
         Raises:
-            UsageError: There are not as many seeds as worlds, or `options` are none that a world could draw. The episodes go on.
+            UsageError: The number of seeds differs from the number of worlds, or a world could not draw `options`. The episodes continue.
         """
         if seed is None or isinstance(seed, (int, np.integer)):
             seeds: Sequence[int | None] = [None if seed is None else int(seed) + world for world in range(self.num_envs)]
@@ -69,12 +70,12 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
         """One step of all worlds.
 
         Returns:
-            Observations (with those of new episodes where one ended), rewards (float64), terminated, truncated, and infos: where episodes
-            ended, `final_obs`, `final_info` and their masks `_final_obs`, `_final_info`, as Gymnasium's vector environments give them;
-            and `action_mask` as in `reset`.
+            Observations (for ended episodes, those of the next episode), rewards (float64), terminated, truncated, and infos. If episodes
+            ended, infos contain `final_obs`, `final_info` and their masks `_final_obs`, `_final_info` as in Gymnasium's vector
+            environments. `action_mask` is as in `reset`.
 
         Raises:
-            UsageError: Before the first reset, or an action does not fit the action space; names the world.
+            UsageError: Before the first reset, or an action does not fit the action space; the message names the world.
             EvaluationError: An expression has no value.
         """
         if not self._begun:
