@@ -350,7 +350,9 @@ class Page:
             low, high = sorted((0.0, 2 * value)) if value else (-1.0, 1.0)
             slider = gui.add_slider(f"{name} ({unit})" if unit else name, min=low, max=high, step=(high - low) / 200, initial_value=value)
             slider.on_update(lambda event, n=name, u=unit: self._change(n, f"{event.target.value:.6g} {u}".strip()))
-        gui.add_html("<div style='padding:0.3em 1em;font-size:0.85em'>A change compiles the scenario again, at the same seed.</div>")
+        gui.add_html(
+            "<div style='padding:0.3em 1em;font-size:0.85em'>A change restarts the episode with the new value and the same seed.</div>"
+        )
 
     def _change(self, name: str, text: str) -> None:
         self._changed[name], self._changed_at = text, time.monotonic()
@@ -449,7 +451,7 @@ class Page:
         gui, layout, hand = self.server.gui, self.panels[0].player.reader.layout, self._manual_input
         gui.add_html(f"<div style='padding:0.3em 1em;font-size:0.85em'>Keys: {html.escape(hand.help())}. A gamepad works too.</div>")
         if self._playing:
-            keep = gui.add_button("record this episode", hint="write the episode so far as a recording (.mcap) into the present folder")
+            keep = gui.add_button("record this episode", hint="write the episode so far as a recording (.mcap) into the current folder")
             keep.on_click(lambda event: self._tasks.put(lambda: self._record(event.client)))
         for field in layout.action:
             if field.options:
@@ -462,7 +464,7 @@ class Page:
                 slider.on_update(lambda event, f=field: self._command(f.name, event.target.value))
         for name, bindings in list(hand.bindings.items())[:2]:
             for keys, sign in ((bindings[0].positive_keys, "+"), (bindings[0].negative_keys, "−")):
-                gui.add_button(f"hold: {name} {sign}").on_hold(
+                gui.add_button(f"press and hold: {name} {sign}").on_hold(
                     lambda _, keys=keys: self._manual_input.hold(frozenset(keys[:1]), ()), callback_hz=10
                 )
 

@@ -29,7 +29,7 @@ def agent_rows(layout: FrameLayout, agent: AgentFrame) -> Iterator[str]:
     if agent.allowed:
         options = [f"{entry.name}: {option}" for entry in layout.action for option in entry.options]
         forbidden = [option for option, may in zip(options, agent.allowed, strict=False) if not may]
-        yield _row(f"forbidden next: {', '.join(forbidden)}", "")
+        yield _row(f"forbidden in the next step: {', '.join(forbidden)}", "")
     yield _head("observation")
     yield from (_bar(field, value) for field, value in list(zip(layout.observation, agent.observation, strict=True))[:_MAX_ROWS])
     left = len(layout.observation) - _MAX_ROWS
@@ -55,7 +55,7 @@ def message_rows(layout: FrameLayout, frame: WorldFrame, others: Collection[str]
         robot, _, direction = key.partition("/")
         if robot in others:
             continue
-        age = f"{1000 * message.age:.0f} ms old{'' if message.received else ', none came in this step'}"
+        age = f"{1000 * message.age:.0f} ms old{'' if message.received else ', no new message in this step'}"
         yield _head(f"message {'to' if direction == 'to_robot' else 'from'} {robot}: {age}")
         for entry, value in list(zip(layout.messages[key], message.values, strict=True))[:_MAX_ROWS]:
             yield _row(entry.name, "" if value is None else entry.text(value))
