@@ -288,7 +288,7 @@ class CopiesSupervisor(Supervisor):
             next(turn)
         running = True
         while running:
-            self.engine.step(self.scenario.world.substeps)
+            self.physics(self.scenario.world.substeps)
             running = not [turn for turn in turns if next(turn, _END) is _END]
         for turn in turns:
             turn.close()

@@ -160,7 +160,8 @@ class BatchMember(EngineProxy):
 class MuJoCoBatch:
     """`count` worlds of one model; `members` are engines of one world each, which resets and rare readers use."""
 
-    name, capabilities = "mujoco", frozenset({"contacts", "mimic"})
+    name = "mujoco"
+    capabilities: frozenset[Any] = frozenset({"contacts", "mimic"})
 
     def __init__(self, world: WorldModel, count: int) -> None:
         """Worlds are stepped by as many threads as there are cores for this process."""
