@@ -114,7 +114,7 @@ class PlacementChecker(NamespaceReader):
             ]
             help = " or ".join(["give a larger top", *ways])
             if min(kind.area for kind in kinds) > _MAX_AREA_RATIO * top.area:
-                help = f"check the size of `{place.body}`: a length without a unit is in metres"
+                help = f"check the unit of the size of `{place.body}`"
             self._values.add("DB105", span, f"{covers} does not fit on the top of `{spot.of}` ({_size(top)}){turned}", help)
         elif kinds and not _is_tilted(place) and copies * (area := min(kind.area for kind in kinds)) > top.area:
             headline = f"{copies} copies of {area:.3g} m^2 cannot stand on the {top.area:.3g} m^2 of `{spot.of}`"

@@ -297,7 +297,10 @@ def bodies(name: str, thing: world_spec.PlacedBody, namespace: Namespace) -> lis
         forms = tuple(variant for variant in variants if variant is not None)
         return [_body(copy, thing, forms[0].shape, namespace, forms) for copy in names]
     made = shape(thing, namespace)
-    if made is None or not isinstance(thing, world_spec.Material):
+    if not isinstance(thing, world_spec.Material):
+        return []
+    if made is None:  # its other values are checked all the same
+        _body(name, thing, Sphere(1.0), namespace)
         return []
     return [replace(_body(copy, thing, made, namespace), pooled=group is not None) for copy in names]
 
@@ -327,12 +330,12 @@ def _variant(kind: str, given: world_spec.ShapedBody, thing: world_spec.VariedOb
             help = f"give `{key}` for all variants, beside `one_of`"
             namespace.values.add_at_key("DB108", (*given.path, key), f"`{key}` of one variant is not supported yet", help)
     made = shape(given, namespace)
-    if made is None:
-        return None
     massive, rough, painted, still = (given if getattr(given, key) is not None else thing for key in ("mass", "friction", "color", "fixed"))
     weight = namespace.fixed(massive, "mass", known=Known.EPISODE)
     grip = namespace.fixed(rough, "friction", known=Known.EPISODE)
     stays = bool(still.fixed)
+    if made is None:
+        return None
     return Variant(
         kind,
         made,

@@ -83,7 +83,7 @@ class PhysicalQuantity(NamedTuple):
     """The words of messages about a dimension.
 
     `unit` replaces a combination of base units. Values beyond `plausible_limit` (SI) get a warning: their unit or exponent is
-    probably wrong. `bare_is_si` lets a field take a number without a unit.
+    probably wrong.
     """
 
     dimension: Dimension
@@ -91,17 +91,16 @@ class PhysicalQuantity(NamedTuple):
     unit: str = ""
     example: str = ""
     plausible_limit: float = math.inf
-    bare_is_si: bool = False
 
 
 _QUANTITIES = {
     known.dimension: known
     for known in (
-        PhysicalQuantity(LENGTH, "a length", example="0.5 m", plausible_limit=1e5, bare_is_si=True),
+        PhysicalQuantity(LENGTH, "a length", example="0.5 m", plausible_limit=1e5),
         PhysicalQuantity(LENGTH**2, "an area"),
         PhysicalQuantity(LENGTH**3, "a volume"),
         PhysicalQuantity(MASS / LENGTH**3, "a density"),
-        PhysicalQuantity(MASS, "a mass", example="0.5 kg", plausible_limit=1e6, bare_is_si=True),
+        PhysicalQuantity(MASS, "a mass", example="0.5 kg", plausible_limit=1e6),
         PhysicalQuantity(TIME, "a duration", example="20 ms", plausible_limit=1e7),
         PhysicalQuantity(ANGLE, "an angle", example="30 deg", plausible_limit=1e4),
         PhysicalQuantity(SPEED, "a speed", plausible_limit=1e4),

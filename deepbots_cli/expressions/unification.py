@@ -17,6 +17,7 @@ from deepbots_cli.expressions.types import (
     Components,
     Constant,
     FindingReporter,
+    Invocation,
     Known,
     Operation,
     Reference,
@@ -125,18 +126,32 @@ def require_dimension(value: Typed, dimension: Dimension, what: str, report: Fin
 
 
 def missing_unit(value: Typed | TypedRange, dimension: Dimension, report: FindingReporter, unit: str | None = None) -> StopChecking:
-    """DB502 for a bare number; it is probably in `unit` if it is at least 1, otherwise the dimension tells."""
-    ends = (value.low, value.high) if isinstance(value, TypedRange) else (value,)
-    help = f"write its unit, as in `{dimension.example}`"
+    """DB502 for a bare number; it is probably in `unit` if it is at least 1, otherwise the dimension tells.
+
+    Both numbers of a range or of a draw have the unit behind the second.
+    """
+    ends: Sequence[Typed] = (value.low, value.high) if isinstance(value, TypedRange) else (value,)
+    sign = ".."
+    if isinstance(value, Invocation) and value.function in ("uniform", "normal"):
+        ends, sign = value.args, ".." if value.function == "uniform" else "+-"
+    help, replacement = f"write its unit, as in `{dimension.example}`", None
     constants = [end for end in ends if isinstance(end, Constant)]
     if len(constants) == len(ends):
-        written = " .. ".join(" ".join(f"{number:.10g}" for number in end.values) for end in constants)
+        written = f" {sign} ".join(" ".join(map(_number_text, end.values)) for end in constants)
         largest = max(abs(number) for end in constants for number in end.values)
         units: tuple[str, ...] = (unit if unit and largest >= 1 else str(dimension),)
         if dimension == ANGLE:  # nobody writes an angle beyond a turn in radians
             units = ("deg",) if largest > 2 * math.pi else ("deg", "rad")
         help = "write its unit: " + " or ".join(f"`{written} {name}`" for name in units)
-    return report_at(report, "DB502", value, f"a number without unit where {dimension.description} is needed", help)
+        if len(units) == 1:
+            replacement = Replacement(f"{written} {units[0]}", safe=units[0] == str(dimension))
+    place = value._replace(start=ends[0].start, end=ends[-1].end)
+    return report_at(report, "DB502", place, f"a number without unit where {dimension.description} is needed", help, replacement)
+
+
+def _number_text(number: float) -> str:
+    short = f"{number:.10g}"
+    return short if float(short) == number else repr(number)
 
 
 def _plain_names(*values: Typed) -> tuple[str | None, list[str]]:
@@ -230,7 +245,7 @@ def expect_value(
 
     Args:
         what: The field, for a sentence (`the timestep`).
-        dimension: None takes any. A bare number counts as SI where a length or a mass is due, a bare zero everywhere.
+        dimension: None takes any; a bare zero has every dimension.
         components: None takes a single value only, a tuple takes those components or a single value for all of them,
             `ANY_SHAPE` takes everything.
         known: When the value must be known at the latest.
@@ -239,8 +254,7 @@ def expect_value(
     """
     require_kind([value], report, boolean=boolean)
     if not boolean and dimension is not None and value.type.dimension != dimension:
-        if not (is_bare_number(value) and physical_quantity(dimension).bare_is_si):
-            require_dimension(value, dimension, what, report, unit)
+        require_dimension(value, dimension, what, report, unit)
         value = value._replace(type=value.type._replace(dimension=dimension))
     _require_shape(value, components, what, report, shape_help)
     if value.type.known > known:
@@ -261,8 +275,13 @@ def expect_range(
     components: Components | None = None,
 ) -> TypedRange:
     """As `expect_value`, for both ends of a range, which must be fixed."""
-    needs_unit = dimension is not None and dimension != NUMBER and not physical_quantity(dimension).bare_is_si
-    if dimension and needs_unit and is_bare_number(found.low) and is_bare_number(found.high) and not is_bare_zero(found.high):
+    if (
+        dimension is not None
+        and dimension != NUMBER
+        and is_bare_number(found.low)
+        and is_bare_number(found.high)
+        and not is_bare_zero(found.high)
+    ):
         raise missing_unit(found, dimension, report)  # one unit is missing, behind both ends
     # The right end first: the unit of both stands there.
     high = expect_value(found.high, report, what, dimension=dimension, components=components, known=Known.FIXED)

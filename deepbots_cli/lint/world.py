@@ -39,7 +39,7 @@ _MAX_MASS_RATIO = 1e5
 """Times the mass of all robots together."""
 _WATER_DENSITY = 1000.0
 """kg/m^3"""
-_LENGTHS_IN_METRES = re.compile(r"([\d.]+(?: [\d.]+)*)(?: *m)?")
+_LENGTHS_IN_METRES = re.compile(r"([\d.]+(?: [\d.]+)*) *m")
 _Robots = list[tuple[RobotBody, float]]
 """With the size of each, m: the longest side of the box around its links, without meshes."""
 _MAX_DEPTH = 0.005
@@ -86,14 +86,14 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
 def odd_scale(context: RuleContext) -> Iterator[Finding]:
     """DB507: the size or the mass of an object is implausible.
 
-    A bare number is a length in metres or a mass in kilograms: a puck with `radius: 4` is 8 m across. The rule reports an object that
-    is at least four times as large as a robot that begins within it; a movable object of less than 0.1 or more than 25 000 kg/m^3 (air
-    has 1.2, osmium 22 600); and a movable object that is 100 000 times as heavy as all robots together. For an object that must not
-    move, write `fixed: true` instead of a large mass.
+    A puck with `radius: 4 m` is 8 m across; its radius is probably in centimetres. The rule reports an object that is at least four times
+    as large as a robot that begins within it; a movable object of less than 0.1 or more than 25 000 kg/m^3 (air has 1.2, osmium 22 600);
+    and a movable object that is 100 000 times as heavy as all robots together. For an object that must not move, write `fixed: true`
+    instead of a large mass.
 
     Example::
 
-        objects: {puck: {shape: cylinder, radius: 4, height: 0.03, mass: 0.2, pose: {x: 0.5, z: 0.1}}}
+        objects: {puck: {shape: cylinder, radius: 4 m, height: 3 cm, mass: 200 g, pose: {x: 50 cm, z: 10 cm}}}
 
     Instead::
 
@@ -193,7 +193,7 @@ def _in_centimetres(path: NodePath, values: ValueReader) -> str:
     found = _LENGTHS_IN_METRES.fullmatch(written)
     if found is None:
         return "check the unit of its size"
-    return f"write `{found[1]} cm` if you mean centimetres" + ("" if "m" in written else ": a number without a unit is in metres")
+    return f"write `{found[1]} cm` if you mean centimetres"
 
 
 # Measured in a simulation

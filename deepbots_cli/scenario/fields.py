@@ -384,9 +384,6 @@ MEASURES: Mapping[str, tuple[str, str, str]] = {
 }
 """Noun, example and SI unit of each measure."""
 
-_MEASURES_WITHOUT_UNIT = frozenset({"length", "mass", "number"})
-"""Measures of which a bare number is in SI units; other measures need a unit."""
-
 
 @cache
 def measure_dimension(measure: str) -> Dimension | None:
@@ -481,9 +478,10 @@ class Quantity(Parsed):
         if found not in (None, wanted):
             raise error("DB106", f"expected {counted_noun(wanted, 'number')}, found {found}", self._help_for_count(str(value), found))
         if not isinstance(value, str):
-            minimum = self.minimum if self.dimension in _MEASURES_WITHOUT_UNIT else None
-            is_share = self.dimension == "number" and self.maximum == 1
-            check_bounds(value, minimum, self.maximum, exclusive=self.exclusive, is_share=is_share)
+            if self.dimension == "number" or value == 0:
+                check_bounds(value, self.minimum, self.maximum, exclusive=self.exclusive, is_share=self.maximum == 1)
+            else:  # it has no unit, which the compiler reports
+                check_bounds(value)
             if self.whole and value != int(value):
                 raise mismatch(self.noun, value=value)
 

@@ -37,6 +37,7 @@ SAFE = {
     "a key": ("  timestep:", "  timestop:"),
     "a word": ("type: velocity_motor", "type: velocity_moter"),
     "a unit": ("32 ms", "32 milliseconds"),
+    "a length without its unit": ("0.04 m}", "0.04}"),
     "case": ("algorithm: PPO", "algorithm: ppo"),
     "a section": ("observation: ", "obsevation: "),
     "a hexadecimal number": ("substeps: 4", "substeps: 0x4"),

@@ -137,7 +137,7 @@ def test_a_parameter_that_cannot_be_computed_is_an_error(workshop, cartpole, fig
 
 
 def test_an_object_has_the_density_of_water_unless_it_has_a_mass(workshop, cartpole) -> None:
-    objects = "objects:\n  a: {shape: box, size: 10 10 10 cm, pose: {x: 1 m}}\n  b: {shape: sphere, radius: 5 cm, mass: 0.3}\nrobots:\n"
+    objects = "objects:\n  a: {shape: box, size: 10 10 10 cm, pose: {x: 1 m}}\n  b: {shape: sphere, radius: 5 cm, mass: 0.3 kg}\nrobots:\n"
     a, b = workshop.compile(cartpole(("robots:\n", objects))).program.world.objects
     assert a.mass == pytest.approx(1.0)
     assert b.mass == 0.3

@@ -39,7 +39,8 @@ WORDS = frozenset(
 _UNIT = re.compile(r"(?<=\d )(deg|rad|m|mm|cm|s|ms|kg|g|N|mN)(?![\w(])")
 _NAME = re.compile(r"(?<![\w.])[a-z_][a-z0-9_]*(?:\.[a-z_][a-z0-9_]*)*(?![\w.(])")
 _CALL = re.compile(r"(?<![\w.])[a-z_]+(?=\()")
-_QUANTITY = re.compile(r"[\d.]+ (?:deg|rad|s|ms)")
+MEASURED = ("timestep", "max_time", "settle", "delay", "latency", "period", "yaw", "fov", "z", "radius", "height", "mass")
+_QUANTITY = re.compile(r"[\d.]+ (?:deg|rad|s|ms|m|mm|cm|kg|g)")
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def _of_value(piece: Piece) -> Iterator[Fault]:
         return
     for unit in _UNIT.finditer(value):
         yield _fault(piece, "typo in a unit", ("DB501",), *unit.span(), unit.group() + "q")
-    if _QUANTITY.fullmatch(value) and last in ("timestep", "max_time", "settle", "delay", "latency", "period", "yaw", "fov"):
+    if _QUANTITY.fullmatch(value) and last in MEASURED and "parameters" not in piece.path and float(value.partition(" ")[0]):
         yield _fault(piece, "a unit left out", ("DB502",), 0, len(value), value.partition(" ")[0])
     if set(EXPRESSIONS).isdisjoint(piece.path):
         return
