@@ -183,7 +183,6 @@ def _program(namespace: Namespace) -> Program:
         action_repeat=action_repeat,
         evaluation=Evaluation(spec.evaluation.episodes),
         disturbances=disturbances(namespace),
-        augmented_signals=frozenset(spec.augment),
         engine=spec.world.engine,
     )
     sending = tuple(replace(robot, emit=builder.sent()) for robot, builder in zip(robots, builders, strict=True))

@@ -449,6 +449,8 @@ def _rgba(word: str) -> Color:
     return (*COLORS[word], 1.0)
 
 
+HIDDEN_ORIGINS = (Origin.PARAMETER, Origin.SIGNAL)
+"""Definitions that the policy does not see unless `augment` lists them."""
 AFTER_SIGNALS = (Context.REWARD, Context.ENDING, Context.TEST)
 """Where endings and the goal have a value."""
 _NON_NEGATIVE = Interval(0.0, float("inf"))
@@ -532,7 +534,10 @@ class SupervisorScope(_Scope):
     def names(self) -> Iterable[str]:
         known = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
         endings = [Origin.ENDING] if self.context in AFTER_SIGNALS else []
-        return [*self.namespace.names_of(*known, *endings), "time", "step", *_PAST_REWARDS, *self.namespace.built_in]
+        found = self.namespace.names_of(*known, *endings)
+        if self.context is Context.OBSERVATION:
+            found = [name for name in found if self.namespace.origin(name) not in HIDDEN_ORIGINS or name in self.namespace.scenario.augment]
+        return [*found, "time", "step", *_PAST_REWARDS, *self.namespace.built_in]
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,17 @@ from dataclasses import replace
 from functools import partial
 
 from deepbots_cli.compiler.controllers import driven_parts
-from deepbots_cli.compiler.namespace import AFTER_SIGNALS, GOAL_AFTER_SIGNALS_MESSAGE, Namespace, NamespaceReader, Origin, SupervisorScope
+from deepbots_cli.compiler.namespace import (
+    AFTER_SIGNALS,
+    GOAL_AFTER_SIGNALS_MESSAGE,
+    HIDDEN_ORIGINS,
+    Namespace,
+    NamespaceReader,
+    Origin,
+    SupervisorScope,
+)
 from deepbots_cli.compiler.values import SourceText
+from deepbots_cli.document.layout import move_fix
 from deepbots_cli.document.nodes import MappingNode, NodePath
 from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import NUMBER
@@ -260,7 +269,29 @@ class Observations(NamespaceReader):
                 "DB103", text.span, "an expression where a name is needed", "name the expression under `augment`, and observe that name"
             )
             return None
+        name = tree.parts[0]
+        if self._namespace.origin(name) in HIDDEN_ORIGINS and name not in self._spec.augment and not self._values.is_invalid("augment"):
+            self._report_hidden(name, text)
+            return None
         return self._values.expression(text, SupervisorScope(self._namespace, Context.OBSERVATION))
+
+    def _report_hidden(self, name: str, text: SourceText) -> None:
+        """DB609: the policy sees signals and parameters only under `augment`."""
+        root, augment = self._values.root, self._spec.augment
+        if self._namespace.origin(name) is Origin.SIGNAL:
+            fix = move_fix(root, name, "signals", "augment")
+            written = " ".join(self._values.text(("signals", name)).text.split())
+            what, help = "a signal", f"move it from `signals` to `augment`: `{name}: {written}`"
+        elif isinstance(augment, dict) and augment:
+            fix, what, help = (
+                None,
+                "a parameter",
+                f"add it to `augment` by another name, as `seen_{name}: {name}`, and observe that",
+            )
+        else:
+            fix, what = None, "a parameter"
+            help = f"list it under `augment`, if the policy may know it: `augment: [{', '.join([*augment, name])}]`"
+        self._values.add("DB609", text.span, f"the observation contains `{name}`, which is {what}", help, fix=fix)
 
     def _bounds(self, typed: Typed, text: SourceText) -> Bounds | None:
         count, picture = len(typed.type.components or ("",)), typed.type.picture

@@ -115,7 +115,7 @@ _CATALOGUE = (
     Rule("DB603", "saturates-before-termination", "warning", "an observation that saturates long before its value ends the episode"),
     Rule("DB607", "observation-outside-space", "error", "an observation without a value, or outside its space", deep="only"),
     Rule("DB608", "constant-observation", "warning", "an observation that never changes", deep="only"),
-    Rule("DB609", "privileged-observation", "warning", "an observation that no robot measures and that is not listed under `augment`"),
+    Rule("DB609", "privileged-observation", "error", "an observation of a signal or a parameter that is not listed under `augment`"),
     Rule(
         "DB611",
         "observation-saturates",

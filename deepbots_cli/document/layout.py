@@ -1,4 +1,4 @@
-"""Nodes and YAML text: the canonical layout of a file, a tree written as YAML, an entry removed.
+"""Nodes and YAML text: the canonical layout of a file, a tree written as YAML, an entry removed or moved.
 
 The canonical layout changes white space between tokens, and nothing else. Two passes make it: `_spaced` sets the blanks
 within lines, `_indented` the indentation. The text inside a scalar moves with its line and stays as it is. Deliberate
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from deepbots_cli.diagnostics import Edit, Findings, Fix, Source, Span
-from deepbots_cli.document.nodes import MappingNode, Node, NodePath, ScalarNode, SequenceNode, descend, to_data
+from deepbots_cli.document.nodes import Entry, MappingNode, Node, NodePath, ScalarNode, SequenceNode, descend, to_data
 from deepbots_cli.document.parse import LOADER, parse
 
 _MAX_PASSES = 6
@@ -257,7 +257,7 @@ def _text(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-# Removing an entry
+# Removing or moving an entry
 
 _REST_OF_LINE = re.compile(r"[ \t]*(?:,?[ \t]+#[^\n]*|\r?)(?:\n|$)")
 _COMMA = re.compile(r"[ \t]*,[ \t]*")
@@ -286,3 +286,56 @@ def removal_fix(root: Node, path: NodePath) -> Fix | None:
         before = text[:start].rstrip()
         start = len(before) - 1 if before.endswith(",") else end
     return Fix((Edit(Span(source, start, end), ""),), safe=False) if start < end else None
+
+
+_SPECIAL_IN_BRACKETS = re.compile(r"[,{}\[\]#\n]|: ")
+
+
+def move_fix(root: MappingNode, name: str, section: str, target: str) -> Fix | None:
+    """The fix that moves the entry `name` from one section of the scenario to another, its comment with it.
+
+    The name is added to a target that is a list of names. None where the text does not allow it.
+    """
+    holder, new = root.entries.get(section), root.entries.get(target)
+    entry = holder.value.entries.get(name) if holder and isinstance(holder.value, MappingNode) else None
+    if holder is None or entry is None or not entry.key.span.source is holder.key.span.source is holder.value.span.source:
+        return None
+    source, is_only = holder.key.span.source, isinstance(holder.value, MappingNode) and len(holder.value.entries) == 1
+    if new is not None and isinstance(new.value, MappingNode) and new.key.span.source is not source:
+        new = None  # that of an extended file, to which a section of this one adds
+    if new is None and is_only:
+        return Fix((Edit(holder.key.span, target),), safe=False)
+    if new is not None and isinstance(new.value, SequenceNode):
+        last = new.value.items[-1].span if new.value.items and new.value.span.text.startswith("[") else None
+        at = Span(last.source, last.end, last.end) if last else None
+        return Fix((Edit(at, f", {name}"),), safe=False) if at else None
+    removal = removal_fix(root, (section,) if is_only else (section, name))
+    if removal is None:
+        return None
+    removed = removal.edits[0].span
+    in_block = removed.text.endswith("\n") and not holder.value.span.text.startswith("{")
+    lines = [removed.text] if in_block and not is_only else [f"  {source.text[entry.key.span.start : entry.value.span.end]}\n"]
+    written = _insertion(source, lines[0], holder.key.span, target, new)
+    return Fix((Edit(*written), *removal.edits), safe=False) if written else None
+
+
+def _insertion(source: Source, line: str, section: Span, target: str, new: Entry | None) -> tuple[Span, str] | None:
+    """Where the `line` of an entry is put, and how: below the last entry of a section, or in a new section above another one."""
+    text = source.text
+    if new is None:
+        start = text.rfind("\n", 0, section.start) + 1
+        return (Span(source, start, start), f"{target}:\n{line}") if start == section.start else None
+    entries = new.value.entries.values() if isinstance(new.value, MappingNode) else ()
+    ends = [entry.value.span.end for entry in entries if entry.key.span.source is entry.value.span.source is source]
+    if not ends or new.value.span.source is not source:
+        return None
+    if new.value.span.text.startswith("{"):
+        plain = line.strip()
+        return None if _SPECIAL_IN_BRACKETS.search(plain.partition(": ")[2]) else (Span(source, max(ends), max(ends)), f", {plain}")
+    column = min(source.position(entry.key.span.start)[1] for entry in entries if entry.key.span.source is source) - 1
+    is_aligned = len(line) - len(line.lstrip(" ")) == column
+    if not is_aligned and line.count("\n") > 1:
+        return None
+    rest = _REST_OF_LINE.match(text, max(ends))
+    end = rest.end() if rest else text.find("\n", max(ends)) + 1
+    return (Span(source, end, end), " " * column + line.lstrip(" ")) if end and text[end - 1] == "\n" else None

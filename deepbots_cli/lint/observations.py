@@ -9,16 +9,13 @@ from typing import NamedTuple
 
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.ranges import bounds_text, range_text, with_unit
-from deepbots_cli.compiler.namespace import Origin
 from deepbots_cli.compiler.robots import joint_dimension, joint_interval
 from deepbots_cli.diagnostics import Edit, Finding, Fix, Label
 from deepbots_cli.document.layout import removal_fix
 from deepbots_cli.expressions.dimensions import Dimension
-from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.intervals import Interval, hull
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.scalar import children as parts_of
-from deepbots_cli.expressions.types import Invocation, Reference, Typed, walk
 from deepbots_cli.lint.context import RuleContext, Simulation
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Observation
@@ -85,45 +82,6 @@ def replace_range(context: RuleContext, number: RangedNumber, wide: Interval, di
     """A fix that writes another range; None where the components have ranges of their own."""
     is_one = len({*zip(number.entry.low, number.entry.high, strict=True)}) == 1
     return Fix((Edit(context.range_span(number.entry), range_text(wide, dimension)),), safe=False) if is_one else None
-
-
-def privileged_observation(context: RuleContext) -> Iterator[Finding]:
-    """DB609: the policy sees a signal or a parameter that is not listed under `augment`.
-
-    Only the supervisor knows the world and the drawn parameters; a real robot could not measure them. List the value under `augment` to
-    state that this is intended. Values that robots send, their age, the actions of the agent and the time need no entry there.
-
-    Example::
-
-        signals: {height: position(cart.tip).z}
-        observation: {height: 0 .. 2 m}
-
-    Instead::
-
-        augment: {height: position(cart.tip).z}
-        observation: {height: 0 .. 2 m}
-    """
-    program = context.program
-    privileged = {value.name for value in program.parameters} - program.augmented_signals
-    for value in program.signals:  # those that depend on privileged values or on the world are privileged too
-        if value.name not in program.augmented_signals and any(_is_privileged(node, privileged) for node in walk(value.typed)):
-            privileged.add(value.name)
-    for observed in program.agent.observation:
-        head = observed.value.name.partition(".")[0]
-        if head in privileged:
-            origin = context.namespace.origin(head)
-            helps = (
-                "move it to `augment`" if origin is Origin.SIGNAL else f"list it under `augment`, if this is intended: `augment: [{head}]`"
-            )
-            what = Origin.SIGNAL.value if origin is Origin.SIGNAL else Origin.PARAMETER.value
-            headline = f"the observation holds `{observed.value.name}`, {what} that is not listed under `augment`"
-            yield Finding("DB609", observed.value.span, headline, helps)
-
-
-def _is_privileged(node: Typed, privileged: set[str]) -> bool:
-    if isinstance(node, Reference):
-        return node.symbol.name in privileged
-    return isinstance(node, Invocation) and FUNCTIONS[node.function].family is Family.WORLD
 
 
 def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
@@ -462,7 +420,6 @@ STATIC_RULES = (
     noise_without_effect,
     observation_unbounded,
     bounds_mismatch,
-    privileged_observation,
     goal_in_observation,
 )
 SIMULATED_RULES = (outside_space, constant_observation, often_saturated)

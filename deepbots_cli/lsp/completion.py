@@ -490,6 +490,8 @@ def _sections(kind: str, path: NodePath) -> tuple[NodePath, ...]:
     if kind in ("choice", "option"):
         named = action_at(path)
         return (("action", named, "choices"),) if named else ()
+    if kind == "value" and path[:1] == ("observation",):
+        return (("augment",),)
     robot = path[:2] if path[:1] == ("robots",) and len(path) > 1 else ()
     own = tuple((*robot, section) for section in _ROBOT_SECTIONS.get(kind, ())) if robot else ()
     return (*own, *_SECTIONS.get(kind, ()))

@@ -51,7 +51,7 @@ class Program:
     - parameters and signals, which form one namespace;
     - the episode: reset, endings, truncation, and the `action_repeat`. A world is reset and stepped as a whole.
 
-    There is one agent, `agent`. `augmented_signals` holds the names of the signals that agents may see. `engine` is the engine
+    There is one agent, `agent`. `engine` is the engine
     that the scenario names, None for the default. `stored_signals` names the signals that the supervisor stores after each step, as
     `last_NAME`; only programs of `insight`, which explains episodes, have some. The compiler returns no `tests`: `deepbots test` adds
     those whose conditions the generated code computes.
@@ -75,13 +75,12 @@ class Program:
     cases: tuple[EvaluationCase, ...] = ()
     curriculum: tuple[CurriculumStage, ...] = ()
     disturbances: tuple[Disturbance, ...] = ()
-    augmented_signals: frozenset[str] = frozenset()
     engine: str | None = None
     stored_signals: frozenset[str] = frozenset()
     tests: tuple[ScenarioTest, ...] = ()
 
     def digest_fields(self) -> dict[str, object]:
-        left_out = {"augmented_signals", "stored_signals", "tests"} | ({"engine"} if self.engine in (None, DEFAULT_ENGINE) else set())
+        left_out = {"stored_signals", "tests"} | ({"engine"} if self.engine in (None, DEFAULT_ENGINE) else set())
         return {name: value for name, value in vars(self).items() if name in self.__dataclass_fields__ and name not in left_out}
 
     @cached_property

@@ -88,6 +88,28 @@ def test_a_misspelt_sensor_is_put_right(deepbots, scenario):
     assert "    emit: [pole_angle]\n" in path.read_text()
 
 
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("  lean: tilt(cart) # so\n  rest: time\n", "  rest: time\n"),
+        ("  lean: |\n    2 *\n    tilt(cart)\n  rest: time\n", "  rest: time\n"),
+        ("  lean: tilt(cart)\n", None),
+        ("    lean: tilt(cart)\n    rest: time\n", "    rest: time\n"),
+    ],
+)
+def test_the_line_of_an_observed_signal_moves_to_augment(deepbots, scenario, before, after):
+    seen = CARTPOLE.replace("  alive: 1\n", "  alive: 1 - 0 * rest / s\n" if after else "  alive: 1\n")
+    seen = seen.replace("  cart.pole_angle: -20", "  lean: 0 .. 1 rad\n  cart.pole_angle: -20")
+    path = scenario(seen.replace("\nreward:\n", f"\nsignals:\n{before}\nreward:\n"))
+    assert deepbots("lint", "a.yaml").code == 1
+    assert deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes").out == "a.yaml: no findings\n"
+    line = before.removesuffix(after or "")
+    moved = seen.replace("velocity(cart.tip).x\n", f"velocity(cart.tip).x\n{'  ' + line.lstrip() if after else line}")
+    assert path.read_text() == (
+        moved.replace("\nreward:\n", f"\nsignals:\n{after}\nreward:\n") if after else moved.replace("\nreward:\n", "\n\nreward:\n")
+    )
+
+
 @pytest.mark.parametrize("comment", ["  # deepbots: ignore[DB603]\n", "\n  # deepbots: ignore[DB603, DB703]\n"])
 def test_a_suppression_of_nothing_is_taken_out(deepbots, scenario, comment):
     path = scenario(CARTPOLE.replace("  alive: 1\n", f"  alive: 1{comment}"))

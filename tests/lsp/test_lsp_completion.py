@@ -60,7 +60,7 @@ def test_words_of_the_language_are_offered_where_one_is_due(typing, old, new, of
         ("gyro, link: ball}", "gyro, link: ¦", {"ball", "weight", "carrier"}),
         ("    apply: {pitch", "    emit: [gyro, ¦\n    apply: {pitch", {"gyro", "accel"}),
         ("{pitch_motor: pitch * speed", "{¦: pitch * speed", {"pitch_motor"}),
-        ("{roller.gyro: -5", "{rol¦: -5", {"roller.gyro", "reach", "previous_action"}),
+        ("{roller.gyro: -5", "{rol¦: -5", {"roller.gyro", "previous_action"}),
         ("forward_only: {roll: forward}", "forward_only: {roll: {¦", {"forward", "turn_left"}),
         ("forward_only: {roll: forward}", "forward_only: {roll: f¦", {"forward", "turn_left"}),
         ("reset: {place: {roller", "reset: {place: {¦", {"roller"}),
