@@ -8,7 +8,7 @@ import shutil
 import struct
 import threading
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -143,6 +143,18 @@ def atomic_write(path: Path, refused: type[UsageError] = UsageError) -> Iterator
         raise refused(unwritable_message(path, error)) from error
     finally:
         draft.unlink(missing_ok=True)
+
+
+def file_stamps(files: Iterable[Path]) -> dict[Path, tuple[int, int] | None]:
+    """Time of change and size of each file, None for a missing one: they differ when a file was saved."""
+    found: dict[Path, tuple[int, int] | None] = {}
+    for file in files:
+        try:
+            status = file.stat()
+            found[file] = (status.st_mtime_ns, status.st_size)
+        except OSError:
+            found[file] = None
+    return found
 
 
 def picture_problem(data: bytes) -> str | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,6 +15,7 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import EngineError, MissingExtraError, RunError, ScenarioError, UsageError
+from deepbots_cli.files import file_stamps
 from deepbots_cli.learning.episodes import read_log
 from deepbots_cli.learning.run import ModelName, Run, RunRecord
 from deepbots_cli.port import View
@@ -339,15 +340,3 @@ def closing_player(shown: Showing, driver: str | None) -> closing[Player]:
     if driver == HAND:
         raise UsageError("you can drive in the browser only; use `deepbots play`")
     return closing(shown.open().player(driver))
-
-
-def file_stamps(files: Iterable[Path]) -> dict[Path, tuple[int, int] | None]:
-    """Time of change and size of each file, None for a missing one: they differ when a file was saved."""
-    found: dict[Path, tuple[int, int] | None] = {}
-    for file in files:
-        try:
-            status = file.stat()
-            found[file] = (status.st_mtime_ns, status.st_size)
-        except OSError:
-            found[file] = None
-    return found

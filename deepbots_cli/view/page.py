@@ -22,6 +22,7 @@ import numpy as np
 
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
+from deepbots_cli.files import file_stamps
 from deepbots_cli.frames import Triple, add, roll_pitch_yaw, scaled
 from deepbots_cli.learning.run import Run, RunRecord
 from deepbots_cli.port import ZERO_VECTOR
@@ -30,7 +31,7 @@ from deepbots_cli.rollout.source import RECORDING_SUFFIX
 from deepbots_cli.runtime.overview import extent, follows_robot, shift_beside, view_around
 from deepbots_cli.view import panel, plots, server
 from deepbots_cli.view.batch import BatchPlayer
-from deepbots_cli.view.episodes import Player, Showing, ShowingState, file_stamps
+from deepbots_cli.view.episodes import Player, Showing, ShowingState
 from deepbots_cli.view.frames import COLORS, AgentFrame, Image, PlottedField, WorldFrame
 from deepbots_cli.view.manual_input import ManualInput
 from deepbots_cli.view.recordings import record

@@ -193,3 +193,33 @@ def test_the_settings_in_the_docs_are_settings(deepbots, files):
     ran = deepbots("lint", "warned.yaml")
     assert ran.code == 1
     assert [line.split()[2] for line in ran.out.splitlines()] == ["DB003[yaml11-boolean]", "DB504[degrees-as-radians]"]
+
+
+def test_statistics_count_the_findings_of_each_code(deepbots, files):
+    ran = deepbots("lint", ".", "--statistics", "--json")
+    assert [(row["count"], row["code"], row["fixable"]) for row in json.loads(ran.out)] == [
+        (1, "DB003", 1),
+        (1, "DB402", 1),
+        (1, "DB504", 1),
+    ]
+    assert ran.code == 1
+    assert "DB504  degrees-as-radians" in deepbots("lint", "warned.yaml", "--statistics").out
+    assert "--statistics prints a table or JSON" in deepbots("lint", ".", "--statistics", "--format", "sarif").err
+
+
+def test_watching_lints_again_when_a_file_is_saved(deepbots, files, monkeypatch):
+    texts = iter([CARTPOLE, CARTPOLE.replace("alive: 1", "alive: 1 m")])
+
+    def save_or_interrupt(_):
+        text = next(texts, None)
+        if text is None:
+            raise KeyboardInterrupt
+        (files / "broken.yaml").write_text(text)
+
+    monkeypatch.setattr("time.sleep", save_or_interrupt)
+    ran = deepbots("lint", "broken.yaml", "--watch", "--format", "concise")
+    assert ran.code == 0
+    codes_shown = re.findall(r"DB\d+", ran.out)
+    assert (codes_shown[0], codes_shown[-1], len(codes_shown)) == ("DB402", "DB503", 2)
+    assert ran.err.count("watching 2 files; Ctrl-C ends it") == 3
+    assert deepbots("lint", "broken.yaml", "--watch", "--fix").code == 2

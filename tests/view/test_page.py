@@ -246,7 +246,7 @@ def test_a_scenario_with_errors_opens_with_its_findings(tmp_path):
 def test_what_cannot_be_opened_is_told(capsys):
     with pytest.raises(UsageError, match="no file, folder or shipped scenario"):
         Page(Showing("nothing_here"), port=0)
-    with pytest.raises(UsageError, match="no script 'nobody'"):
+    with pytest.raises(UsageError, match="there is no driver 'nobody'"):
         Page(Showing("find_ball"), port=0, driver="nobody")
     for wrong, message in (
         (["find_ball", "--world", "3"], "there is no world 3; add --worlds N"),

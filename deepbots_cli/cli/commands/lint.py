@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
@@ -18,6 +20,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, OUTPUT, Overrides, integer, option
 from deepbots_cli.cli.commands import rewriting
 from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
+from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Severity
 from deepbots_cli.diagnostics import Source as SourceText
@@ -25,6 +28,7 @@ from deepbots_cli.diagnostics.findings import RuleSelectors, Selection, exceptio
 from deepbots_cli.diagnostics.render import escape_log_commands, github, junit, render, sarif, summary
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
+from deepbots_cli.files import file_stamps
 from deepbots_cli.lint import all_findings, simulate
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lint.settings import Settings, scenarios_in, settings
@@ -82,6 +86,8 @@ def lint(
         bool | None,
         option("--preview/--no-preview", "Also run the rules in preview, which can report false findings; off by default.", _RULES),
     ] = None,
+    watch: Annotated[bool, option("--watch", "Lint again when a file is saved, until Ctrl-C.")] = False,
+    statistics: Annotated[bool, option("--statistics", "Show the number of findings of each code.", OUTPUT)] = False,
     deep: Annotated[bool, option("--deep", "Also simulate each scenario that has no errors for a short time.")] = False,
     fix: Annotated[bool, option("--fix", "Apply the safe fixes to the files.")] = False,
     unsafe_fixes: Annotated[
@@ -104,6 +110,8 @@ def lint(
       deepbots lint scenarios/ --fail-on warning
       deepbots lint cartpole.yaml --set world.timestep=50ms --format concise
       deepbots lint cartpole.yaml --deep
+      deepbots lint cartpole.yaml --watch
+      deepbots lint scenarios/ --statistics
       deepbots lint cartpole.yaml --diff --unsafe-fixes
       deepbots lint cartpole.yaml --fix --unsafe-fixes
       deepbots lint scenarios/ --select DB6,DB7 --ignore term-dominates
@@ -115,6 +123,7 @@ def lint(
 
     Next: `deepbots explain DB603` explains a finding.
     """
+    given = {**locals(), "watch": False}
     project = settings()
     previewed = bool(project.preview) if preview is None else preview
     selection = Selection(
@@ -124,10 +133,15 @@ def lint(
         _check_simulator(fix or diff or unsafe_fixes)
     look = LintOptions(tuple(overrides or ()), permissions, previewed, deep, stdin_name)
     names = scenario_names(scenarios or ["."], project)
-    if stdin_name and STDIN not in names:
-        raise UsageError("--stdin-filename needs - (standard input) as a scenario")
+    _check_together(bool(stdin_name) and STDIN not in names, "--stdin-filename needs - (standard input) as a scenario")
+    _check_together(watch and (fix or diff or STDIN in names), "--watch reads files and changes none; leave out --fix, --diff and -")
+    if watch:
+        _watch(partial(lint, **given), partial(scenario_names, scenarios or ["."], project), look)
+        return
     format_ = Format.json if as_json else format or Format(project.format or Format.full)
     failing = _FAILING_SEVERITIES["never" if exit_zero else fail_on or project.fail_on or "error"]
+    is_table = format_ in (Format.full, Format.concise, Format.json) and not diff
+    _check_together(statistics and not is_table, "--statistics prints a table or JSON; leave out --diff and other formats")
     changes = False
     if fix or diff or unsafe_fixes:
         _check_fixing(fix, diff, overrides, names)
@@ -139,7 +153,9 @@ def lint(
     shown = [*selection.inactive_rules(), *filter(selection.selects, findings)]
     if diff and shown and not changes:
         _explain_empty_diff([] if unsafe_fixes else shown)
-    if not diff:
+    if statistics:
+        _show_statistics(shown, as_json=format_ is Format.json)
+    elif not diff:
         print(report(shown, format_, [look.called(name) for name in names], failing), end="")
         if format_ is Format.full:
             _sum_up(shown, names, selection, fixable=not (fix or overrides), deep=deep)
@@ -149,6 +165,63 @@ def lint(
         raise typer.Exit(INTERNAL_ERROR)
     if any(finding.severity in failing for finding in (*shown, *hidden)) or (diff and changes):
         raise typer.Exit(FAILED)
+
+
+_WATCH_INTERVAL_S = 0.3
+
+
+def _watch(lint_once: Callable[[], None], find_names: Callable[[], list[str]], look: LintOptions) -> None:
+    """Lint, and again whenever a file that was read changes, or a folder has other scenarios, until Ctrl-C."""
+
+    def state(files: Iterable[Path]) -> object:
+        try:
+            return find_names(), file_stamps(files)
+        except DeepbotsError:  # a file has gone for a moment, as editors save
+            return None
+
+    with suppress(KeyboardInterrupt):
+        while True:
+            try:
+                lint_once()
+            except typer.Exit:
+                pass  # the findings are shown
+            except DeepbotsError as error:
+                terminal.print_error(error.full_message)
+            sys.stdout.flush()
+            try:
+                files = {file for name in find_names() for file in look.files_read(name)}
+            except DeepbotsError:
+                files = set()
+            terminal.note(f"{time.strftime('%H:%M:%S')}: watching {len(files)} files; Ctrl-C ends it")
+            seen = state(files)
+            while state(files) == seen:
+                time.sleep(_WATCH_INTERVAL_S)
+
+
+def _check_together(wrong: bool, sentence: str) -> None:
+    """Raises: UsageError: Options are `wrong` together."""
+    if wrong:
+        raise UsageError(sentence)
+
+
+def _show_statistics(findings: Sequence[Finding], *, as_json: bool) -> None:
+    """A row for each code, the most frequent first."""
+    groups: dict[str, list[Finding]] = {}
+    for finding in findings:
+        groups.setdefault(finding.code, []).append(finding)
+    rows: list[Row] = [
+        {
+            "count": len(found),
+            "code": code,
+            "name": found[0].name,
+            "severity": found[0].severity,
+            "fixable": sum(finding.fix is not None for finding in found),
+        }
+        for code, found in groups.items()
+    ]
+    rows.sort(key=lambda row: str(row["code"]))
+    rows.sort(key=lambda row: int(str(row["count"])), reverse=True)
+    terminal.show(rows, table(rows, indent="") if rows else "no findings", as_json=as_json)
 
 
 def _words(option: str, given: Codes) -> RuleSelectors | None:
@@ -259,6 +332,11 @@ class LintOptions:
             return self._of_stdin()
         checked = api.load(name, overrides=self.overrides, permissions=self.permissions)
         return self._reviewed(checked, self.called(name))
+
+    def files_read(self, name: str) -> set[Path]:
+        """The scenario, and the files that it reads."""
+        checked = api.load(name, overrides=self.overrides, permissions=self.permissions)
+        return {checked.document.path, *checked.document.files, *checked.inputs.names}
 
     def _of_stdin(self) -> list[Finding]:
         """Paths in the text are relative to the folder of `stdin_name`, and the project is that of this folder."""
