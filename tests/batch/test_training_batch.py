@@ -17,8 +17,10 @@ from deepbots_cli import api, learning
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.learning import learner
 from deepbots_cli.learning.environments import stepping_text, supervisor_factory
+from deepbots_cli.learning.sb3.environment import CollectorEnvironment
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.collector import LocalCollector
 from deepbots_cli.rollout.policies import play_batch, play_episodes
 from deepbots_cli.rollout.worlds import BatchWorlds, Worlds, observation_digest
 from deepbots_cli.runtime import Supervisor
@@ -54,6 +56,8 @@ def test_a_learner_sees_the_same_of_a_batch_as_of_single_worlds(name: str, overr
             for mine, other in zip(batched.step_all(actions)[:3], usual.step_all(actions)[:3], strict=True):
                 np.testing.assert_array_equal(mine, other)
             np.testing.assert_array_equal(batched.action_masks(), usual.action_masks())
+    masks = CollectorEnvironment(LocalCollector(batched)).env_method("action_masks")
+    np.testing.assert_array_equal(masks, batched.action_masks())
     assert batched.action_masks().all() == (not overrides)
     assert told["batch"] == told["single"] != []
 

@@ -51,6 +51,8 @@ class CollectorEnvironment(VecEnv):
             agent.set_wrapper_attr(attr_name, value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any) -> list[Any]:
+        if method_name == "action_masks" and (masks := self.collector.worlds.action_masks()) is not None:  # a batch has its own
+            return [masks[index] for index in self._get_indices(indices)]
         return [agent.get_wrapper_attr(method_name)(*method_args, **method_kwargs) for agent in self._agents(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None) -> list[bool]:
