@@ -403,6 +403,8 @@ class EngineProxy:
 class BatchEngine(Bindable, Protocol):
     """An engine that holds many worlds of one model and steps them together; `gravity` is that of the model, which episodes may change."""
 
+    capabilities: frozenset[Capability]
+    """Those of its members."""
     members: Sequence[Engine]
     """An engine per world, which begins the episodes of its world and serves rare readers."""
     write_mask: NDArray[np.bool_] | None

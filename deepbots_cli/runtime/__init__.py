@@ -1,7 +1,7 @@
 """What generated code runs on.
 
 supervisor.py  bases of the generated classes: the supervisor, a Gymnasium environment, and the robot controllers
-copies.py      copies of a robot in one world: a supervisor for each, and one that holds them
+copies.py      copies of a robot in one world: a supervisor for each, and that of all; the engine of a batch of such worlds
 spaces.py      action and observation spaces, actions in their forms, frame stacks, rewards for other goals
 observing.py   observations from named values, without a world
 formulas.py    functions that generated code calls: pure ones, ones with memory, terms in Python

@@ -117,7 +117,7 @@ class BatchOfCopies:
     def __init__(self, engine: BatchEngine, copies: RobotCopies) -> None:
         self._engine, self._count = engine, copies.count
         self._views = [EngineOfCopy(cast("Engine", engine), copies, number + 1) for number in range(copies.count)]
-        self.name, self.gravity, self.members = engine.name, engine.gravity, engine.members
+        self.name, self.capabilities, self.gravity, self.members = engine.name, engine.capabilities, engine.gravity, engine.members
         self.begin_episodes, self.non_finite_worlds, self.close = engine.begin_episodes, engine.non_finite_worlds, engine.close
         self.write_mask: Any = None
 
