@@ -108,9 +108,9 @@ class View:
 
 
 class Bindable(Protocol):
-    """What readers and writers are bound to when an environment is made: one world, or many of one model.
+    """The object to which readers and writers are bound when an environment is made: one world, or many worlds of one model.
 
-    In many worlds a column stands in the place of each number: an array with one number per world. A column that was read stays as it is.
+    In many worlds, each number is a column: an array with one number per world. A column does not change after it was read.
     """
 
     name: str
@@ -122,19 +122,19 @@ class Bindable(Protocol):
     def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
         """Whether `one` touched one of `others` in any engine step of the last `step`; false after a reset.
 
-        `others` None stands for all bodies besides its own. `ground` says whether plane and terrain count among them.
+        If `others` is None, all other bodies are meant. `ground` includes plane and terrain.
         """
 
     def contact_force(self, one: Part) -> ForceReader:
         """The sum of normal forces (N) on `one` from everything that it touches, in the last engine step."""
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
-        """The distance between two surfaces, m: 0 where they touch, and infinite to a body that is absent."""
+        """The distance between two surfaces, m: 0 if they touch, infinite if a body is absent."""
 
     def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:
         """Rays along the x axis of frames in the frame of a link: how far (m) each is free, at most `reach`.
 
-        Its own body is not seen, nor what is not solid.
+        Rays ignore their own body, and bodies that are not solid.
         """
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader: ...
@@ -147,7 +147,7 @@ class Bindable(Protocol):
     def velocity(self, body: str, link: str | None = None) -> VelocityReader: ...
 
     def motion(self, body: str, link: str | None = None) -> MotionReader:
-        """Pose and velocity in one call, which costs half of two where a link is not the root."""
+        """Pose and velocity in one call, which takes half the time of two calls if the link is not the root."""
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         """Drive joints towards target velocities (rad/s or m/s) with at most `max_torque` (N m or N)."""
@@ -169,14 +169,14 @@ class Bindable(Protocol):
 
 
 class Engine(Bindable, Protocol):
-    """A physics engine that holds one world, for one environment."""
+    """A physics engine with one world, for one environment."""
 
     capabilities: frozenset[Capability]
 
     def reset(self) -> None:
-        """Put every body where the world model has it, at rest, joints at 0, their followers in place, motors off, no memory of contacts.
+        """Reset every body to its pose in the world model, at rest, joints at 0, followers in place, motors off, no memory of contacts.
 
-        The same calls then give the same results, to the bit, as in a world that was just built.
+        The same calls then give bit for bit the same results as in a new world.
         """
 
     def place(
@@ -198,9 +198,9 @@ class Engine(Bindable, Protocol):
         """Let a pooled body take the form of one of its variants. Called between `reset` and `place`, before parameters are set."""
 
     def set_parameter(self, parameter: EngineParameter, owner: tuple[str, ...], *values: float) -> None:
-        """Set a parameter of an episode. Called between `reset` and `place`; it holds until the next reset, which restores the model.
+        """Set a parameter of an episode. Called between `reset` and `place`; it is valid until the next reset, which restores the model.
 
-        Of the world, `()`: `gravity` (x, y, z in m/s^2, world frame), `light` (brightness of pictures; 1 is ordinary). Of a body and its
+        Of the world, `()`: `gravity` (x, y, z in m/s^2, world frame), `light` (brightness of images; 1 is normal). Of a body and its
         link, or "" for its root link: `mass` (kg; the inertia scales along), `color` (red, green, blue and opacity, 0 to 1),
         `lateral_friction`, `spinning_friction`, `rolling_friction`, `restitution`. Of a robot and its joint: `joint_damping` (N m s/rad or
         N s/m), `joint_friction` (N m or N).
@@ -215,19 +215,20 @@ class Engine(Bindable, Protocol):
         """Call `act` before each engine step of `step`."""
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
-        """Pushes a link at its origin, in the next engine step only; the axes are those of the world or of the link."""
+        """Pushes a link at its origin, in the next engine step only, with axes of the world or of the link."""
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
         """Looks along the x axis of `mount`, z up; `fov` is the vertical angle in rad.
 
-        Surfaces are seen from outside alone, so a camera within a hull looks out of it.
+        Only the outer side of a surface is visible, so a camera inside a hull looks out of it.
 
         Raises:
             EngineError: The engine cannot draw.
         """
 
     def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
-        """Positions of joints (rad or m), within their ranges, that bring a link's origin somewhere, in a certain attitude or any (None).
+        """Positions of joints (rad or m), within their ranges, that bring the origin of a link to a position, in a given orientation or in
+        any (None).
 
         The same call in the same state of the world gives the same bits.
         """
@@ -238,19 +239,19 @@ class Engine(Bindable, Protocol):
     def snapshot(self) -> object:
         """The state of the world between two steps, for `restore`; taking it changes nothing.
 
-        It holds all that decides what follows: poses, velocities, the memory of contacts, the commands of motors, and the values that
-        were set since the reset. It does not hold what callers keep: random streams, messages under way, and the state behind functions
-        that were given to `before_substep`.
+        It contains everything on which later steps depend: poses, velocities, the memory of contacts, the commands of motors, and the
+        values that were set since the reset. It does not contain the state of callers: random streams, messages in flight, and the state of
+        functions of `before_substep`.
 
-        Only an engine that is exact to the bit has "snapshot" among its capabilities. With any other, callers begin the episode
-        again and repeat its actions.
+        Only an engine with exact snapshots has "snapshot" among its capabilities. With other engines, callers begin the episode again and
+        repeat its actions.
 
         Raises:
             EngineError: The engine has no exact snapshot.
         """
 
     def restore(self, snapshot: object) -> None:
-        """Restore a snapshot that this engine object took at any time before; any number of times, also across resets.
+        """Restore an earlier snapshot of this engine object; any number of times, also across resets.
 
         The same calls then give bit for bit the same readings as after the snapshot was taken. Readers and writers stay bound.
 
@@ -261,18 +262,18 @@ class Engine(Bindable, Protocol):
     def overlaps(self) -> Sequence[Overlap]:
         """Overlaps in the present state of the world: the deepest pair of links of every two bodies; deepest first.
 
-        At least one of the two can move; the ground counts as a body. Looking may change how contacts go on from here by a rounding.
+        At least one of the two can move; the ground is one of the bodies. The call may change later contacts by rounding errors.
         """
 
     def require_finite(self) -> None:
         """Check every pose and joint.
 
         Raises:
-            EngineError: A figure is not finite; names the body.
+            EngineError: A number is not finite; the message names the body.
         """
 
     def render(self, view: View) -> Image:
-        """A picture of the world: uint8, shape (height, width, 3).
+        """An image of the world: uint8, shape (height, width, 3).
 
         Raises:
             EngineError: The engine cannot draw (no "rendering" among its capabilities).

@@ -249,7 +249,7 @@ class TrainingCallback:
         return not (solved and self.confirmed)
 
     def on_collected(self) -> None:
-        if self._check_passed:  # always False between two roll-outs of a checkpoint, which therefore does not keep it
+        if self._check_passed:  # always False between two rollouts of a checkpoint, which therefore does not keep it
             self._check_passed = False
             self._record_policy()
 
@@ -318,7 +318,7 @@ class TrainingCallback:
             self.log.record(f"ended_by/{name}", share)
 
     def _record_policy(self) -> None:
-        """What the policy has seen and done in the last roll-out, or in the last steps of the replay buffer.
+        """What the policy has seen and done in the last rollout, or in the last steps of the replay buffer.
 
         `saturation/NAME` is the share of observations at the ends of their range, `action/OPTION` how often an option was chosen, and
         `action/probability` the mean probability of the chosen actions.

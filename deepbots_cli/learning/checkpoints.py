@@ -114,7 +114,7 @@ class Checkpoints:
         return not stop
 
     def finish(self) -> None:
-        """Take the last checkpoint of a training that came to its end between two roll-outs."""
+        """Take the last checkpoint of a training that came to its end between two rollouts."""
         self._save_numbered()
         self.save()
 

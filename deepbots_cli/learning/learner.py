@@ -1,9 +1,9 @@
 """What learns: the interface between a training and an algorithm.
 
-A training asks its `Learner` for the same few things again and again: `collect` a fragment of experience, `update` the policy with it,
-and between the two its state, from which a resumed training goes on to the bit. An evaluation asks it to `predict`. `learning/sb3` has the
-learner of the built-in algorithms. An algorithm of another package that is derived from `scenario.training.Training` itself brings its own:
-a class derived from `ArrayLearner` or `Learner`, under the `import_path` of its model.
+A training calls `collect` of its `Learner` for a fragment of experience, then `update`, and between the two it reads the state from which a
+resumed training continues bit for bit. An evaluation calls `predict`. `learning/sb3` has the learner of the built-in algorithms. An
+algorithm of another package, whose model is derived from `scenario.training.Training` itself, needs its own learner: a class derived from
+`ArrayLearner` or `Learner`, under the `import_path` of its model.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _MAX_DATA_BYTES = 8_000_000
 
 @dataclass(frozen=True)
 class Setup:
-    """What a learner is made for; `longest_episode` is in steps, `collector` None for a policy that is not to learn."""
+    """Arguments of a learner; `longest_episode` is in steps, `collector` is None for a policy that does not learn."""
 
     training: Training
     observation_space: gym.Space[Any]
@@ -52,7 +52,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class Initialization:
-    """The tensors of a policy that were taken over from another model; `not_copied` says why the rest begins afresh."""
+    """The tensors of a policy that were copied from another model; `not_copied` has the reason for each of the others."""
 
     copied: tuple[str, ...]
     not_copied: Mapping[str, str]
@@ -64,18 +64,18 @@ class Learner(ABC):
     A training calls `begin`, restores a checkpoint if there is one, and calls `start`; then `collect` and `update` in turn; `end` at last.
 
     Attributes:
-        setup: What it was made for.
+        setup: The arguments that it was created with.
         steps: Timesteps, summed over all rows.
-        log: Takes scalars.
-        device: Where the policy is computed, as torch names it.
+        log: The log for scalars.
+        device: Device of the policy, by the name that torch uses.
     """
 
     State: ClassVar[type[CheckpointState]] = CheckpointState
     """The part of a checkpoint that is JSON."""
     takes_masks = False
-    """Whether `predict` takes which options are allowed."""
+    """Whether `predict` uses action masks."""
     takes_callbacks = True
-    """Whether it calls the followers of `begin`."""
+    """Whether it calls the `followers` of `begin`."""
     confirms = False
     """Whether one evaluation is not enough to end a training, since updates are large."""
     device = "cpu"
@@ -88,10 +88,10 @@ class Learner(ABC):
 
     @classmethod
     def check(cls, training: Training) -> None:
-        """Refuse settings that cannot be trained with, whatever the world is.
+        """Check the settings as far as they do not depend on the world.
 
         Raises:
-            UsageError: They cannot.
+            UsageError: The settings are invalid.
         """
         if training.normalize is not None:
             raise UsageError(f"{training.algorithm} does not normalize rewards; leave out 'normalize' under 'train'")
@@ -102,8 +102,8 @@ class Learner(ABC):
 
         Args:
             total: Timesteps, summed over all rows.
-            monitor: Its `on_step` is called after each step of all rows and says whether to go on, its `on_collected` after each fragment,
-                before the update, and its `on_end` after the last update.
+            monitor: Call its `on_step` after each step of all rows (it returns whether to continue), its `on_collected` after each
+                fragment, before the update, and its `on_end` after the last update.
             followers: The callbacks of other packages.
         """
 
@@ -112,7 +112,7 @@ class Learner(ABC):
 
     @abstractmethod
     def collect(self) -> bool:
-        """Take in the next fragment; False if the monitor of the training ended it before."""
+        """Collect the next fragment; False if the monitor of the training stopped it before."""
 
     @abstractmethod
     def update(self) -> None:
@@ -145,7 +145,7 @@ class Learner(ABC):
         return total.hexdigest()
 
     def not_finite(self) -> str | None:
-        """The name of the first array of the policy that holds an infinity or no number."""
+        """The name of the first array of the policy that contains infinite or NaN values."""
         return next((name for name, array in self.weights().items() if not np.isfinite(array).all()), None)
 
     # Models
@@ -194,12 +194,12 @@ class Learner(ABC):
         """The arrays of a checkpoint beside the model."""
 
     def specs(self, state: CheckpointState) -> dict[str, ArraySpec]:
-        """What these arrays must be."""
+        """The required shapes and types of these arrays."""
         return _specs(self.arrays())
 
     @abstractmethod
     def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
-        """Go on from a checkpoint, after `load`; the worlds are restored. `same` says whether they came to the same observations."""
+        """Continue from a checkpoint, after `load`, in restored worlds; `same` is true if their observations are the same as before."""
 
     # For explanations
 
@@ -211,15 +211,15 @@ class Learner(ABC):
         """The layers of the policy, for an export (`learning.sb3.networks.PolicyNetwork`).
 
         Raises:
-            UsageError: It cannot be exported.
+            UsageError: The policy cannot be exported.
         """
         raise UsageError(f"policies of {self.setup.training.algorithm} cannot be exported")
 
 
 class ArrayLearner(Learner):
-    """A learner whose numbers are arrays that it changes in place, and that a model and a checkpoint therefore keep by themselves.
+    """A learner whose state is arrays that it changes in place. Models and checkpoints store these arrays without further code.
 
-    A subclass has `act`, `update`, `predict` and `weights`, and `memory` if the next update depends on more.
+    A subclass defines `act`, `update`, `predict` and `weights`, and `memory` if the next update depends on further arrays.
 
     Attributes:
         fragment_steps: The steps of each row between two updates.
@@ -235,10 +235,10 @@ class ArrayLearner(Learner):
 
     @abstractmethod
     def act(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
-        """Actions to learn from, a row each; `starts` says in which rows an episode begins."""
+        """Actions to learn from, one per row; `starts` is true in rows in which an episode begins."""
 
     def memory(self) -> dict[str, Array]:
-        """Arrays beside `weights` that the next update depends on."""
+        """Further arrays, besides `weights`, on which the next update depends."""
         return {}
 
     def begin(self, total: int, monitor: TrainingCallback, followers: Sequence[Any] = ()) -> None:

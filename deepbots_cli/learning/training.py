@@ -464,7 +464,7 @@ def learn_until_done(
             callback.evaluate(UNLIMITED_SHARE)
         if statistics.steps >= callback.total:
             checkpoints.finish()
-        else:  # in the middle of a roll-out, since the task is solved or a callback says so
+        else:  # in the middle of a rollout, since the task is solved or a callback says so
             learner.save(run.model("last"))
     except (ValueError, UsageError):
         # torch's distributions refuse parameters that are not finite, and a world an action, before we look at the weights.

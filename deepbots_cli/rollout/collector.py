@@ -63,7 +63,7 @@ class Fragment:
 
 
 class ShardState(NamedTuple):
-    """The running episode of each world, and the digest of their present observations."""
+    """The running episode of each world, and the digest of the present observations."""
 
     episodes: list[EpisodeHistory]
     observed: str

@@ -576,7 +576,7 @@ class Scenario(Section):
 
     @classmethod
     def from_yaml(cls, path: str | pathlib.Path) -> Self:
-        """Load a scenario from a file, including the files that it extends and includes. Paths of robot and mesh files become absolute.
+        """Load a scenario from a file, including the files that it extends and includes. Paths of other files become absolute.
 
         Raises:
             ScenarioError: The file has findings at error level.

@@ -121,7 +121,7 @@ class _OnPolicy(Training):
     max_grad_norm: Positive | None = None
     """Largest norm of a gradient; larger gradients are scaled down."""
     stats_window_size: PositiveInt | None = None
-    """Number of episodes over which the return and length in logs are averaged."""
+    """Number of episodes over which Stable-Baselines3 averages its episode statistics."""
 
 
 class _Proximal(_OnPolicy):
@@ -134,7 +134,7 @@ class _Proximal(_OnPolicy):
     clip_range_vf: Schedule | None = None
     """Limit on the change of the value function in one update: a number or a schedule."""
     target_kl: Positive | None = None
-    """Limit on the KL divergence between the old and the new policy, at which an update stops early."""
+    """Limit on the KL divergence between the old and the new policy: an update stops early beyond 1.5 times this value."""
 
 
 class _StateDependentExploration(Section):
@@ -186,7 +186,7 @@ class _SoftActorCritic(_StateDependentExploration, _Deterministic):
     target_entropy: Annotated[Scalar, Number(pattern="auto")] | None = None
     """The entropy to which `ent_coef: auto` adjusts the policy; `auto` is minus the number of action components."""
     stats_window_size: PositiveInt | None = None
-    """Number of episodes over which the return and length in logs are averaged."""
+    """Number of episodes over which Stable-Baselines3 averages its episode statistics."""
 
 
 class PPO(_StateDependentExploration, _Proximal):
@@ -227,7 +227,7 @@ class DQN(_OffPolicy):
     max_grad_norm: Positive | None = None
     """Largest norm of a gradient; larger gradients are scaled down."""
     stats_window_size: PositiveInt | None = None
-    """Number of episodes over which the return and length in logs are averaged."""
+    """Number of episodes over which Stable-Baselines3 averages its episode statistics."""
 
 
 class SAC(_SoftActorCritic):
@@ -251,7 +251,7 @@ class TD3(_Deterministic):
     target_noise_clip: Weight | None = None
     """Largest absolute value of the noise of `target_policy_noise`."""
     stats_window_size: PositiveInt | None = None
-    """Number of episodes over which the return and length in logs are averaged."""
+    """Number of episodes over which Stable-Baselines3 averages its episode statistics."""
 
 
 class DDPG(_Deterministic):

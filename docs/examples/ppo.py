@@ -27,7 +27,7 @@ def main(total_timesteps: int = 60_000, copies: int = 4, steps: int = 128, seed:
     parameters = [*actor.parameters(), *critic.parameters()]
     optimizer = torch.optim.Adam(parameters, lr=learning_rate, eps=1e-5)
 
-    # Storage of a roll-out, of shape (steps, copies).
+    # Storage of a rollout, of shape (steps, copies).
     observations = torch.zeros(steps, copies, inputs)
     actions, log_probs, rewards, dones, values = (torch.zeros(steps, copies) for _ in range(5))
     observation = torch.as_tensor(envs.reset(seed=seed)[0])

@@ -39,7 +39,7 @@ SEED = 1
 
 @pytest.fixture(scope="session")
 def short(tmp_path_factory) -> Path:
-    """A training of two roll-outs; not to be changed."""
+    """A training of two rollouts; not to be changed."""
     return train("cartpole", total_timesteps=1024, seed=2, run=tmp_path_factory.mktemp("runs") / "short").run
 
 

@@ -348,7 +348,7 @@ def test_checkpoints_are_kept_at_equal_distances_and_can_be_used(tmp_path: Path)
     run = train(compiled_of("PPO"), run=tmp_path / "run", total_timesteps=1_000, keep_checkpoints=4, build=stand_in.build).run
     kept = sorted(path.name for path in (run / "models" / "agent").glob("step-*.zip"))
     assert len(kept) == 4
-    assert kept[0] == "step-000000288.zip"  # the first roll-out of 96 steps that ends after 250
+    assert kept[0] == "step-000000288.zip"  # the first rollout of 96 steps that ends after 250
 
 
 def test_a_training_begins_with_the_policy_of_another_run_and_says_what_it_took_over(tmp_path: Path) -> None:

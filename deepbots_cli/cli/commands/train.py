@@ -82,7 +82,7 @@ def command(
     """Train a policy in a new run directory, and evaluate it.
 
     Training stops when an evaluation confirms that the task is solved, or at the total number of timesteps. Ctrl-C stops it after the
-    current roll-out and keeps the policy. The run directory holds the inputs, the models and the results. A run never overwrites another
+    current rollout and keeps the policy. The run directory holds the inputs, the models and the results. A run never overwrites another
     one.
 
     \b

@@ -278,7 +278,7 @@ class MuJoCoBatch:
         readings = self._batch.rollout(substeps, ids=ids, record=("sensordata",))["sensordata"]
         self.touched[np.ix_(ids, self._touch_columns)] |= (readings[..., self._touch_places] > 0.0).any(axis=1)
         if before is not None and (again := (self._batch.warning != warned).any(axis=(1, 2))).any():
-            self.state[again] = before[again]  # a roll-out ends with a warning, and a step goes on
+            self.state[again] = before[again]  # a rollout ends with a warning, and a step goes on
             for _ in range(substeps):
                 self._advance(again, 1)
 

@@ -102,7 +102,7 @@ def create(
     settings |= {"seed": seed, "device": _device(training.device, to_learn=to_learn), "verbose": 0, "policy_kwargs": networks}
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of batches that do not divide a roll-out, which does no harm
+            warnings.simplefilter("ignore")  # of batches that do not divide a rollout, which does no harm
             models.append(kind_of_model(policy, env, **settings))
     except (AssertionError, MemoryError, RuntimeError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())
@@ -172,7 +172,7 @@ def takes_masks(model: BaseAlgorithm) -> bool:
 
 
 def collects_as_usual(training: Training, model: BaseAlgorithm) -> bool:
-    """Whether the algorithm is on-policy and has the roll-outs of the built-in one that it is or is derived from."""
+    """Whether the algorithm is on-policy and has the rollouts of the built-in one that it is or is derived from."""
     algorithm = _entry(training.algorithm)
     usual: Any = _imported(ALGORITHMS[algorithm.base()])
     return algorithm.on_policy and type(model).collect_rollouts is usual.collect_rollouts  # type: ignore[attr-defined]

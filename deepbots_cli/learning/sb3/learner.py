@@ -163,7 +163,7 @@ class StableLearner(Learner):
         return actions, state
 
     def recent(self) -> tuple[Any, Array, Array | None]:
-        """Those of the last roll-out, or of the last steps in the replay buffer."""
+        """Those of the last rollout, or of the last steps in the replay buffer."""
         if not self.confirms:
             buffer: Any = self.model.rollout_buffer
             return buffer.observations, buffer.actions, buffer.log_probs

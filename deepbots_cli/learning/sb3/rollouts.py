@@ -1,4 +1,4 @@
-"""On-policy roll-outs from fragments: an actor, and the roll-out buffer filled with what it collected.
+"""On-policy rollouts from fragments: an actor, and the rollout buffer filled with what it collected.
 
 Both do what `collect_rollouts` of the library does, with the same random numbers in the same order, so that weights are equal to the bit.
 """
@@ -64,7 +64,7 @@ class RolloutActor:
 
 
 def fill(model: Any, fragment: Fragment) -> None:
-    """Put a fragment into the roll-out buffer of the model, with returns and advantages."""
+    """Put a fragment into the rollout buffer of the model, with returns and advantages."""
     buffer, columns = model.rollout_buffer, fragment.columns
     buffer.reset()
     rewards = _rewards(model, fragment)

@@ -1,6 +1,6 @@
 """What a checkpoint keeps of an algorithm of Stable-Baselines3 beside its model: the part that is JSON, and the replay buffer.
 
-Between two roll-outs the roll-out buffer is empty, and every local variable of the library's loops has its initial value. The rows of a
+Between two rollouts the rollout buffer is empty, and every local variable of the library's loops has its initial value. The rows of a
 replay buffer are written once, into files that several checkpoints share.
 """
 

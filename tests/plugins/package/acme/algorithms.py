@@ -7,7 +7,7 @@ from deepbots_cli.scenario.training import PPO, Training
 
 
 class GentlePPO(PPO):
-    """PPO that makes three passes over each roll-out."""
+    """PPO that makes three passes over each rollout."""
 
     algorithm: Literal["GentlePPO"]
     n_epochs: PositiveInt | None = 3
