@@ -63,9 +63,9 @@ _MAX_DENOMINATOR = 4
 _KEEP_ABOVE_HELP = "keep it above a minimum with `max(x, ...)`"
 _FAMILY_HELP = {
     Family.DRAW: "draw it as a parameter, and use the parameter here",
-    Family.STATEFUL: "define it as a signal, and use the signal where signals are known",
-    Family.MESSAGE: "only the supervisor receives the messages of robots; define it as a signal, or send it under `receive`",
-    Family.WORLD: "a robot knows only its sensors and messages; send the value to it under `receive`",
+    Family.STATEFUL: "define it under `signals`, and use the signal where signals are available",
+    Family.MESSAGE: "define it as a signal, or send it to the robot under `receive`; only the supervisor receives messages of robots",
+    Family.WORLD: "send the value to the robot under `receive`; a robot can use only its sensors and messages",
 }
 _CONTEXT_HELP = {
     **{(Context.FORBID, family): "compute it under `augment`, and use that name here" for family in Family},
@@ -129,8 +129,8 @@ def check_drawn(tree: syntax.Node, scope: Scope, report: FindingReporter) -> Typ
         require_kind([period], report)
         require_dimension(period, TIME, "the period", report)
     if not checker.draws:
-        help = "`every` and `each step` repeat draws such as `uniform(a .. b)`"
-        report("DB401", tree.value.end, tree.end, "a repetition without a draw", help)
+        help = "put a draw such as `uniform(a .. b)` before `every` or `each step`"
+        report("DB401", tree.value.end, tree.end, "there is no draw to repeat", help)
     return TypedExpression(value._replace(type=value.type._replace(known=Known.STEP)), Redraw(periods[0] if periods else None))
 
 
@@ -138,7 +138,7 @@ def check_drawn(tree: syntax.Node, scope: Scope, report: FindingReporter) -> Typ
 def check_range(tree: syntax.Node, scope: Scope, report: FindingReporter, *, falling: bool = False) -> TypedRange:
     """The typed ends of a text `low .. high`; with `falling`, the first may be above the second."""
     if not isinstance(tree, syntax.Range):
-        raise report_at(report, "DB401", tree, "a single value where a range is needed", "write both ends: `low .. high`")
+        raise report_at(report, "DB401", tree, "expected a range, found a single value", "write both ends: `low .. high`")
     checker = _Checker(scope, report)
     low, high = checker.each(checker.whole, (tree.low, tree.high))
     found = TypedRange(low, high, tree.start, tree.end)
@@ -168,14 +168,14 @@ class _Checker:
     def whole(self, tree: syntax.Node) -> Typed:
         """A whole text, or one end of a range."""
         if isinstance(tree, syntax.Range):
-            raise self._fault("DB401", tree, "a range where a single value is needed")
+            raise self._fault("DB401", tree, "expected a single value, found a range")
         value = self.visit(tree)
         if value.type.has_group_components:
-            help = "the number of copies varies: reduce the value with `min`, `max`, `sum`, `norm`, `any` or `all`"
-            raise self._fault("DB404", tree, "this has one value per copy of a group, and a single value is needed", help)
+            help = "combine the values with `min`, `max`, `sum`, `norm`, `any` or `all`, because the number of copies varies"
+            raise self._fault("DB404", tree, "expected a single value, found one value for each copy of a group", help)
         if size(value) > MAX_SIZE:
-            headline = f"an expression of more than {MAX_SIZE} operations on single numbers"
-            raise self._fault("DB005", tree, headline, "name parts of it, as signals or parameters")
+            headline = f"the expression has more than {MAX_SIZE} operations on single numbers"
+            raise self._fault("DB005", tree, headline, "define parts of it as signals or parameters")
         return value
 
     def visit(self, node: syntax.Node) -> Typed:
@@ -201,7 +201,7 @@ class _Checker:
             case syntax.Truth():
                 return Constant(Type(boolean=True, interval=TRUTH), node.start, node.end, (node.value,))
             case _:
-                raise self._fault("DB401", node, "a range or draw where a single value is needed")
+                raise self._fault("DB401", node, "expected a single value, found a range or a draw")
 
     @staticmethod
     def each(visit: Callable[[A], B], items: Sequence[A]) -> list[B]:
@@ -249,8 +249,8 @@ class _Checker:
         """The part of the world that an argument names; DB203 for one of another kind, DB402 for none."""
         wanted = _one_of(kinds)
         if not isinstance(node, syntax.Name):
-            help = "name a part of the world, as in `position(cart.tip)`"
-            raise self._fault("DB203", node, f"a value where `{function}` needs {wanted}", help)
+            help = "write the name of one, as in `position(cart.tip)`"
+            raise self._fault("DB203", node, f"`{function}` needs {wanted}, not a value", help)
         scope, name = self._scope, node.dotted
         subject = scope.subject(name, kinds)
         if subject is not None and subject.kind in kinds:
@@ -279,7 +279,7 @@ class _Checker:
         if name in FUNCTIONS:
             return self._fault("DB402", node, f"`{name}` is a function", f"call it: `{FUNCTIONS[name].signature}`")
         if asked := self._asked_of_a_body(node):
-            help = f"functions give the values of the world: `{asked}`"
+            help = f"read values of the world with a function: `{asked}`"
             return self._fault("DB402", node, f"unknown name `{name}`", help, Replacement(asked, safe=False))
         return self._unknown("name", name, scope.names(), node, also=_NAME_HELP.get(name.lower(), _CONTEXT_NAME_HELP.get(scope.context)))
 
@@ -355,7 +355,7 @@ class _Checker:
         if len(node.items) == 2:
             missing, help = "an operator", f"to multiply, write `*` before `{written}`"
             if symbol.type is not None and symbol.type.boolean:
-                missing, help = "`when`", f"put `when` before `{written}` if it is the condition of a reward"
+                missing, help = "`when`", f"write `when {written}` if it is the condition of a reward"
             raise self._fault("DB401", node, f"{missing} is missing before `{written}`", help)
 
     # operators
@@ -432,8 +432,8 @@ class _Checker:
                     near = Fraction(known.low).limit_denominator(_MAX_DENOMINATOR)
                     if float(near) == known.low:
                         return base ** (near if near.denominator > 1 else int(near))
-                help = "divide by a unit first: only a plain number may have any exponent"
-                raise self._fault("DB503", right, f"{base.description} to a power that is not a fixed, simple number", help)
+                help = "divide by a unit first, because only a plain number can have any exponent"
+                raise self._fault("DB503", right, f"the exponent of {base.description} must be a fixed, simple number", help)
             case _:
                 return dimension_of((left, right), node, self._report)
 
@@ -506,7 +506,7 @@ class _Checker:
         """The values in one argument: one, both ends of a range, or all options."""
         match param.form, arg:
             case Form.VALUE, syntax.Range() | syntax.Spread() | syntax.Options():
-                raise self._fault("DB401", arg, "a range or draw where a single value is needed", _usage(function))
+                raise self._fault("DB401", arg, "expected a single value, found a range or a draw", _usage(function))
             case Form.VALUE, _:
                 return (arg,)
             case (Form.RANGE, syntax.Range()) | (Form.SPREAD, syntax.Spread()) | (Form.OPTIONS, syntax.Options()):
@@ -556,7 +556,7 @@ class _Checker:
         values = [value for _, value in bound]
         for param, value in bound:
             if param.components and value.type.components != param.components:
-                raise self._fault("DB404", value, f"{value.type.shape_description} where a vector of x, y, z is needed")
+                raise self._fault("DB404", value, f"expected a vector of x, y, z, found {value.type.shape_description}")
         if function.components is not None:
             return function.components
         if function.name == "vector":
@@ -566,14 +566,14 @@ class _Checker:
         if function.reduction is not None and len(values) == 1:
             (vector,) = values
             if vector.type.has_group_components and function.reduction.empty is None:
-                help = "there may be no copy: use `min`, `max`, `sum`, `norm`, `any` or `all`"
-                raise self._fault("DB404", node, f"a {function.name} over the copies of a group", help)
+                help = "use `min`, `max`, `sum`, `norm`, `any` or `all`, because a group may be empty"
+                raise self._fault("DB404", node, f"`{function.name}` cannot be used on a group", help)
             if vector.type.components is None:
-                raise self._fault("DB404", vector, f"a single value where `{function.name}` needs a vector", _usage(function))
+                raise self._fault("DB404", vector, f"`{function.name}` needs a vector, not a single value", _usage(function))
             return None
         groups = [subject.components for subject in subjects if subject.components is not None]
         if len(groups) > 1:
-            raise self._fault("DB404", node, "a group on both sides", "name a single one on one side")
+            raise self._fault("DB404", node, "only one of the two arguments can be a group", "write a single body for the other one")
         return groups[0] if groups else components_of(values, node, self._report)
 
     def _warn(self, function: Function, bound: list[tuple[Param, Typed]]) -> None:

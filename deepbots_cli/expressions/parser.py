@@ -172,7 +172,7 @@ class _Parser:
             return unit
         is_negative, digits = self._take("-"), self._next()
         if not digits.text.isdecimal() or len(digits.text) > 1 or int(digits.text) > _MAX_FACTORS:
-            headline = "a unit raised to something other than a small whole number"
+            headline = "the exponent of a unit must be a small whole number"
             raise _SyntaxError(power.start, digits.end, headline, "put the number and its unit in parentheses")
         return unit.to_power(-int(digits.text) if is_negative else int(digits.text))
 
@@ -473,11 +473,11 @@ _FOREIGN_SIGNS = {
 _CONDITIONAL = _Hint("write `a if condition else b`")
 _NO_TEXT = _Hint("expressions contain numbers and names, but no text")
 COPIES_HELP = (
-    "a single copy has no name: the name of a robot means the copy itself, "
-    "and the name of a group means all copies, as in `min(distance(cart, crate))`"
+    "single copies cannot be named: write the name of the robot for the copy that evaluates the expression, and the name of a group "
+    "for all its copies, as in `min(distance(cart, crate))`"
 )
 _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _FOREIGN_SIGNS.items()} | {
-    "**": _Hint("a power is `a ^ b`", "^"),
+    "**": _Hint("write a power as `a ^ b`", "^"),
     "−": _Hint("write the plain minus `-`", "-"),
     "–": _Hint("write the plain minus `-`", "-"),
     "\u00a0": _Hint("this is a non-breaking space; replace it by an ordinary space", " "),
@@ -494,15 +494,15 @@ _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _FOREIG
     "{": _Hint("a vector is written `0 0 1 m`, or `vector(a, b, c)`"),
     '"': _NO_TEXT,
     "'": _NO_TEXT,
-    "...": _Hint("a range has two dots: `low .. high`", ".."),
-    "..": _Hint("a range stands alone or in a function such as `clamp(x, low .. high)`"),
+    "...": _Hint("write a range with two dots: `low .. high`", ".."),
+    "..": _Hint("write a range alone, or inside a function such as `clamp(x, low .. high)`"),
     "//": _Hint("write `/`; a comment begins with ` # `"),
     "%": _Hint("there is no modulo; `wrap(angle)` brings an angle back to one turn"),
-    ",": _Hint("a comma separates the arguments of a function; decimals have a point"),
+    ",": _Hint("a comma separates the arguments of a function; write decimals with a point"),
     "+-": _Hint("`normal(mean +- std)` is a draw; elsewhere put a space between the signs"),
     "|": _Hint("write `abs(x)` for the absolute value, `choice(a | b)` for a draw, and `or` between conditions"),
     "#": _Hint(f"{COPIES_HELP}; a comment needs a space before its `#`"),
-    "->": _Hint("a schedule belongs in the settings of `train`"),
+    "->": _Hint("use a schedule only under `train`"),
 }
 
 
@@ -569,7 +569,7 @@ def _missing_end(tokens: list[Token]) -> str | None:
 
 def _about_equals(tokens: list[Token], at: int) -> tuple[str, Replacement | None]:
     if at and tokens[at - 1].text in ("+", "-", "*", "/"):
-        return "remove it: an entry defines a value, and the terms of a reward are summed", None
+        return "remove the assignment: the key names the value, and deepbots adds up the terms of a reward", None
     if at >= 2 and tokens[at - 1].kind == "NAME" and tokens[at - 2].text in ("(", ","):
         return "pass arguments in order, without names", None
     return "compare with `==`", Replacement("==", safe=True)

@@ -84,15 +84,15 @@ def require_kind(values: Sequence[Typed], report: FindingReporter, *, boolean: b
                 report,
                 "DB404",
                 value,
-                "a picture where a single value belongs",
+                "expected a single value, found a picture",
                 "a picture can be sent and observed, but not used in an expression",
             )
         elif boolean:
-            report_at(report, "DB403", value, "a number where a truth value belongs", "compare it, as in `x > 0`")
+            report_at(report, "DB403", value, "expected a truth value, found a number", "compare it, as in `x > 0`")
         else:
             name = value.symbol.name if isinstance(value, Reference) else "condition"
             help = f"make it a number with `1 if {name} else 0`, or write the value under the condition: `5 when {name}`"
-            report_at(report, "DB403", value, "a truth value where a number belongs", help)
+            report_at(report, "DB403", value, "expected a number, found a truth value", help)
     raise StopChecking
 
 
@@ -146,7 +146,7 @@ def missing_unit(value: Typed | TypedRange, dimension: Dimension, report: Findin
         if len(units) == 1:
             replacement = Replacement(f"{written} {units[0]}", safe=units[0] == str(dimension))
     place = value._replace(start=ends[0].start, end=ends[-1].end)
-    return report_at(report, "DB502", place, f"a number without unit where {dimension.description} is needed", help, replacement)
+    return report_at(report, "DB502", place, f"expected {dimension.description}, found a number without a unit", help, replacement)
 
 
 def _number_text(number: float) -> str:
@@ -159,9 +159,9 @@ def _plain_names(*values: Typed) -> tuple[str | None, list[str]]:
     found = {name: text for value in values if value.type.dimension == NUMBER for name, text in _plain_parts(value)}
     if not found:
         return None, []
-    known = " and ".join(f"`{name}` is {text}, a plain number" for name, text in found.items())
-    it = "it has" if len(found) == 1 else "one of them has"
-    return f"{known}; if {it} a unit, write the unit where you set it (file or `--set`)", list(found)
+    known = " and ".join(f"`{name}` is {text}, without a unit" for name, text in found.items())
+    it = "it should have" if len(found) == 1 else "one of them should have"
+    return f"{known}; if {it} a unit, add it where you set the value (in the file or with `--set`)", list(found)
 
 
 def _plain_parts(value: Typed) -> Iterator[tuple[str, str]]:
@@ -186,7 +186,7 @@ def _remedy(value: Typed, needed: Dimension) -> str:
         return "divide by the angle: `/ rad`"
     if needed / given == ANGLE:
         return "multiply by the angle: `* rad`"
-    return f"a unit is wrong, or a factor with the unit {needed / given} is missing"
+    return f"correct the unit, or multiply by a factor in {needed / given}"
 
 
 def components_of(values: Sequence[Typed], place: Place, report: FindingReporter) -> Components | None:
@@ -201,7 +201,7 @@ def components_of(values: Sequence[Typed], place: Place, report: FindingReporter
 def _differing(first: Components, second: Components, place: Place, report: FindingReporter) -> StopChecking:
     help = "components are matched by name; select the ones that match, as in `v.x`"
     if set(first) == set(second):
-        help = "the names are the same in another order; write both groups in one order"
+        help = "list the names of both groups in the same order"
     return report_at(report, "DB404", place, f"a vector of {shortened_list(first)} is combined with one of {shortened_list(second)}", help)
 
 
@@ -258,8 +258,8 @@ def expect_value(
         value = value._replace(type=value.type._replace(dimension=dimension))
     _require_shape(value, components, what, report, shape_help)
     if value.type.known > known:
-        allowed = "may be drawn once per episode, but must not change during the episode" if known is Known.EPISODE else "must be fixed"
-        raise report_at(report, "DB407", value, f"{what} is {value.type.known.description}", f"it {allowed}")
+        allowed = "a value that is fixed or drawn once per episode" if known is Known.EPISODE else "a fixed value"
+        raise report_at(report, "DB407", value, f"{what} is {value.type.known.description}", f"use {allowed}")
     if value.type.interval.is_finite and not boolean:
         _require_size(value, known, what, report)
     return value
@@ -303,7 +303,7 @@ def _require_shape(value: Typed, components: Components | None, what: str, repor
         raise report_at(report, "DB404", value, headline, help)
     if len(found) != len(components) and found[0] in ("x", "1"):
         headline = f"{what} has {len(found)} values, not {len(components)}"
-        raise report_at(report, "DB106", value, headline, f"give {' and '.join(components)}")
+        raise report_at(report, "DB106", value, headline, f"write {' and '.join(components)}")
     raise _differing(components, found, value, report)
 
 
@@ -316,7 +316,7 @@ def _require_size(value: Typed, known: Known, what: str, report: FindingReporter
     limit = _MAX_VALUE if plausible == math.inf else _PLAUSIBLE_LIMIT_FACTOR * plausible
     if largest > limit and known is not Known.STEP:
         unit = "" if dimension == NUMBER else f" {dimension}"
-        help = f"give at most {limit:g}{unit}" if farthest > 0.0 else f"give at least {-limit:g}{unit}"
+        help = f"write at most {limit:g}{unit}" if farthest > 0.0 else f"write at least {-limit:g}{unit}"
         raise report_at(report, "DB105", value, f"{what} {is_or_reaches} {farthest:g}{unit}", help)
     if dimension == ANGLE:
         warn_of_degrees(value, report)

@@ -248,7 +248,7 @@ def test_a_case_sends_what_the_scenario_sends_even_if_it_does_not_use_it(worksho
 
 def test_a_case_or_a_test_that_needs_a_further_sensor_is_given_the_whole_line(workshop, rail) -> None:
     case = "evaluation: {cases: {wild: {set: {termination.failure: {off: cart.spin > 9 rad/s}}}}}\nreset:"
-    test = "tests: {calm: {policy: zero, expect: {always: cart.spin < 9 rad/s}}}\nreset:"
+    test = "tests: {calm: {driver: zero, expect: {always: cart.spin < 9 rad/s}}}\nreset:"
     for use, code in ((case, "DB613"), (test, "DB407")):
         (found,) = workshop.lint(rail((EMIT, ""), SPIN, ("reset:", use)))
         assert found.code == code

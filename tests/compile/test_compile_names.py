@@ -155,7 +155,7 @@ def test_a_parameter_without_unit_in_a_product_is_named_with_the_line_that_sets_
     (finding,) = workshop.lint(cartpole(("wheel_speed: 5 rad/s", "wheel_speed: 5")))
     assert finding.code == "DB503"
     assert finding.help is not None
-    assert finding.help.startswith("`wheel_speed` is 5, a plain number")
+    assert finding.help.startswith("`wheel_speed` is 5, without a unit")
     (label,) = finding.labels
     assert label.text == "`wheel_speed` is set here"
     assert label.span.text == "5"
