@@ -56,7 +56,7 @@ def roll_pitch_yaw(q: Quaternion) -> Triple:
     return roll, pitch, atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def normalised(q: Quaternion) -> Quaternion:
+def normalized(q: Quaternion) -> Quaternion:
     length = hypot(*q)
     return (q[0] / length, q[1] / length, q[2] / length, q[3] / length)
 

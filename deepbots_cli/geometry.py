@@ -234,7 +234,7 @@ def mesh_triangles(mesh: Mesh) -> NDArray[np.float64]:
 
 
 def with_masses(model: RobotModel) -> RobotModel:
-    """The model with mass, centre and inertia of each link that has a density, from the volume of its mesh.
+    """The model with mass, center and inertia of each link that has a density, from the volume of its mesh.
 
     Raises:
         EngineError: A mesh has gone or changed, or encloses no volume.

@@ -42,7 +42,7 @@ JointReader = Callable[[], JointStates]
 TorqueReader = Callable[[], Sequence[float]]
 """The torque (N m) or force (N) of the motor of each joint in the last engine step."""
 PoseReader = Callable[[], tuple[Triple, Quaternion]]
-"""Position of the link's origin (m), not of its centre of mass, and its orientation."""
+"""Position of the link's origin (m), not of its center of mass, and its orientation."""
 VelocityReader = Callable[[], tuple[Triple, Triple]]
 """Velocity of the link's origin (m/s) and its angular velocity (rad/s), both in the world frame."""
 Motion = tuple[tuple[Triple, Quaternion], tuple[Triple, Triple]]
@@ -73,7 +73,7 @@ CAMERA_RANGE_M = 100.0  # m; as far as cameras see
 class CameraImage(NamedTuple):
     """One picture: `colors` uint8 (height, width, 3); `depth` float32 (height, width) in m along the line of sight's axis,
     at most `CAMERA_RANGE_M`; `bodies` int32 (height, width), the place of each pixel's body in `body_names`, -1 for none. A pixel is
-    what its centre sees."""
+    what its center sees."""
 
     colors: Image
     depth: NDArray[np.float32]

@@ -55,7 +55,7 @@ from deepbots_cli.scenario.validate import validate
 
 __all__ = ["CheckedScenario", "check"]
 
-_SPELLING_CODES = frozenset({"DB003", "DB004"})  # warnings about how a value is spelt
+_SPELLING_CODES = frozenset({"DB003", "DB004"})  # warnings about how a value is spelled
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +190,7 @@ def _program(namespace: Namespace) -> Program:
 
 
 def _joined(findings: Findings) -> Findings:
-    """A warning about a value that is in error anyway, or about how such a value is spelt, becomes a note of the error."""
+    """A warning about a value that is in error anyway, or about how such a value is spelled, becomes a note of the error."""
     errors = findings.errors
     kept: list[Finding] = []
     absorbed: dict[int, list[Finding]] = {}

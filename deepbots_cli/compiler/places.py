@@ -62,7 +62,7 @@ class PlacementChecker(NamespaceReader):
             region.low[axis] > arena.size[axis] / 2 - needed / 2 or region.high[axis] < needed / 2 - arena.size[axis] / 2 for axis in (0, 1)
         ):
             headline = f"no position in the region is far enough from the walls of the arena for `{place.body}`"
-            self._values.add("DB105", span, headline, "move the region into the arena, whose centre is the origin")
+            self._values.add("DB105", span, headline, "move the region into the arena, whose center is the origin")
         elif region.mesh and (cells := int(width / region.mesh + 1e-9) * int(depth / region.mesh + 1e-9)) < copies:
             headline = f"the grid has {cells} cells for {'one body' if copies == 1 else f'up to {copies} copies'}"
             self._values.add_at_key("DB105", (*path, "grid"), headline, "give a larger region, or a smaller `grid`")

@@ -127,7 +127,7 @@ def _is_sensible(namespace: Namespace, place: NodePath, file: FilePath, mesh: Me
     code = None if _SMALL_MESH_M <= max(size) <= _LARGE_MESH_M else "DB505" if _MIN_MESH_M <= max(size) <= _MAX_MESH_M else "DB105"
     if code is not None:
         shown = " x ".join(f"{side:.3g}" for side in size)
-        values.add(code, place, f"the mesh is {shown} m in size", "a mesh in millimetres needs `scale: 0.001 0.001 0.001`")
+        values.add(code, place, f"the mesh is {shown} m in size", "a mesh in millimeters needs `scale: 0.001 0.001 0.001`")
     return code != "DB105"
 
 

@@ -1,6 +1,6 @@
 """Findings as data, and how they are shown.
 
-registry.py  the catalogue of rules: code, name, severity
+registry.py  the catalog of rules: code, name, severity
 findings.py  Source, Span, Finding: what is wrong and where; Fix, Edit: what to write instead; `--select` and `--ignore`;
              comments that suppress warnings
 render.py    findings as text with source lines, as concise lines, as JSON; for GitHub, JUnit, SARIF

@@ -1,4 +1,4 @@
-"""The word that was meant: the known word that is most like a misspelt one."""
+"""The word that was meant: the known word that is most like a misspelled one."""
 
 from __future__ import annotations
 

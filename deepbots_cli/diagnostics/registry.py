@@ -18,7 +18,7 @@ Severity = Literal["error", "warning"]
 
 @dataclass(frozen=True)
 class Rule:
-    """One entry of the catalogue.
+    """One entry of the catalog.
 
     A rule in `preview` may still misfire and runs only on request. `deep` says whether a simulation (`lint --deep`) finds
     it: `no`, `only`, or `too` where static analysis finds it as well. `deep_preview` puts only the simulated part in preview.
@@ -53,7 +53,7 @@ FAMILIES = {
     "DB9": "linting",
 }
 
-_CATALOGUE = (
+_CATALOG = (
     Rule("DB001", "yaml-syntax", "error", "the text is not YAML 1.2"),
     Rule("DB002", "duplicate-key", "error", "the same key twice in one mapping"),
     Rule("DB003", "yaml11-boolean", "warning", "a word that deepbots reads as text, but YAML 1.1 as true or false"),
@@ -170,12 +170,12 @@ def _read(_name: str, found: Any) -> Iterator[tuple[str, Rule]]:
             raise ValueError(f"{rule!r} is not a Rule with a check that has a docstring")
         if not re.fullmatch(r"[A-Z]{2,8}[0-9]{1,4}", rule.code) or rule.code.startswith("DB"):
             raise ValueError(f"the code {rule.code!r} is no capital letters and digits, or begins with DB")
-        if rule.name in {entry.name for entry in _CATALOGUE}:
+        if rule.name in {entry.name for entry in _CATALOG}:
             raise ValueError(f"the name {rule.name!r} is taken")
         yield rule.code, rule
 
 
-RULES: PluginTable[Rule] = PluginTable("deepbots.rules", {entry.code: entry for entry in _CATALOGUE}, _read)
+RULES: PluginTable[Rule] = PluginTable("deepbots.rules", {entry.code: entry for entry in _CATALOG}, _read)
 
 
 def matching_rules(word: str) -> tuple[Rule, ...]:

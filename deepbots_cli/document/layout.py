@@ -140,12 +140,12 @@ class _Columns:
                 line, column = self._source.position(token.start)
                 self._columns.setdefault(line, set()).add(column)
         lines = sorted(self._columns)
-        self._neighbours = {line: {*lines[max(0, i - 1) : i], *lines[i + 1 : i + 2]} for i, line in enumerate(lines)}
+        self._neighbors = {line: {*lines[max(0, i - 1) : i], *lines[i + 1 : i + 2]} for i, line in enumerate(lines)}
 
     def aligned(self, offset: int) -> bool:
         """Whether a token of the line above or below begins in the same column."""
         line, column = self._source.position(offset)
-        return any(column in self._columns[other] for other in self._neighbours[line])
+        return any(column in self._columns[other] for other in self._neighbors[line])
 
 
 # Indentation

@@ -1,6 +1,6 @@
 """Inverse kinematics of a chain of joints: damped least squares, within the ranges of the joints.
 
-The rule is that of Levenberg and Marquardt on the error of position (m) and attitude (rad, counted as `METRES_PER_RAD` m each):
+The rule is that of Levenberg and Marquardt on the error of position (m) and attitude (rad, counted as `METERS_PER_RAD` m each):
 a step is (J^T J + c 1)^-1 J^T e, and c falls after steps that help and grows after steps that do not.
 """
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-METRES_PER_RAD = 0.3  # m; what an error of 1 rad counts
+METERS_PER_RAD = 0.3  # m; what an error of 1 rad counts
 TOLERANCE_M = 1e-7  # m; an error to stop at
 MAX_ITERATIONS = 100
 STALL_RATIO = 0.99  # of the square of the error; a round that leaves more than this share has not helped
@@ -71,7 +71,7 @@ class Chain:
         """
         inward = frames.inverse(root[1])
         goal = frames.rotate(inward, frames.subtract(target, root[0]))
-        turned = None if attitude is None else frames.multiply(inward, frames.normalised(attitude))
+        turned = None if attitude is None else frames.multiply(inward, frames.normalized(attitude))
         found, missing = self._search(list(positions), goal, turned)
         if missing > TOLERANCE_M * TOLERANCE_M:
             other, still_missing = self._search(self._middle(positions), goal, turned)
@@ -89,7 +89,7 @@ class Chain:
 
     def _search(self, joints: list[float], goal: Triple, turned: Quaternion | None) -> tuple[list[float], float]:
         """Where the search from these positions ends, and the square of the error that it leaves."""
-        error, jacobian = self._linearised(joints, goal, turned)
+        error, jacobian = self._linearized(joints, goal, turned)
         damping, missing, idle = 1e-4, float(error @ error), 0
         for _ in range(MAX_ITERATIONS):
             if missing < TOLERANCE_M * TOLERANCE_M or damping > 1e8 or idle > MAX_STALLED_ITERATIONS:
@@ -100,7 +100,7 @@ class Chain:
             tried = list(joints)
             for place, value in zip(self._driven, np.clip(now + step, self._lower, self._upper).tolist(), strict=True):
                 tried[place] = value
-            new_error, new_jacobian = self._linearised(tried, goal, turned)
+            new_error, new_jacobian = self._linearized(tried, goal, turned)
             left = float(new_error @ new_error)
             idle = idle + 1 if left > STALL_RATIO * missing else 0
             if left < missing:
@@ -110,7 +110,7 @@ class Chain:
                 damping *= 10.0
         return joints, missing
 
-    def _linearised(self, joints: Sequence[float], goal: Triple, attitude: Quaternion | None) -> tuple[FloatArray, FloatArray]:
+    def _linearized(self, joints: Sequence[float], goal: Triple, attitude: Quaternion | None) -> tuple[FloatArray, FloatArray]:
         """The error at these positions, and how it shrinks with each driven joint."""
         joints = list(joints)
         for follower, leader, mimic in self._followers:
@@ -134,9 +134,9 @@ class Chain:
         columns = [frames.cross(axes[i], frames.subtract(here[0], pivots[i])) if turns[i] else axes[i] for i in places]
         if attitude is None:
             return np.array(error), self._with_followers(np.array(columns)).T
-        error += frames.scaled(_rotation_vector(frames.multiply(attitude, frames.inverse(here[1]))), METRES_PER_RAD)
+        error += frames.scaled(_rotation_vector(frames.multiply(attitude, frames.inverse(here[1]))), METERS_PER_RAD)
         full = [
-            (*column, *(frames.scaled(axes[i], METRES_PER_RAD) if turns[i] else IDENTITY_FRAME[0]))
+            (*column, *(frames.scaled(axes[i], METERS_PER_RAD) if turns[i] else IDENTITY_FRAME[0]))
             for i, column in zip(places, columns, strict=True)
         ]
         return np.array(error), self._with_followers(np.array(full)).T

@@ -1,6 +1,6 @@
 """Syntax tree to typed tree: resolves names, dimensions, shapes, intervals and stages.
 
-A finding stops the check of all nodes above its own, but not of its neighbours: each fault gives one finding.
+A finding stops the check of all nodes above its own, but not of its neighbors: each fault gives one finding.
 """
 
 from __future__ import annotations
@@ -341,7 +341,7 @@ class _Checker:
         return _positions(len(values))
 
     def _require_item(self, node: syntax.Vector, name: syntax.Name) -> None:
-        """The name behind the numbers must be their last item; otherwise it is a misspelt unit, or an operator is missing."""
+        """The name behind the numbers must be their last item; otherwise it is a misspelled unit, or an operator is missing."""
         written = name.dotted
         symbol = self._scope.lookup(name.parts[0]) or self._scope.lookup(written)
         if symbol is None:

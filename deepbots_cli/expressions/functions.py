@@ -433,7 +433,7 @@ _ENTRIES = (
     Function("cross_track_error", _OF_WORLD, (_BODY, _LINE), "The signed distance of a body from a line; left of the line is positive.",
              "cross_track_error(rover, track)", _LENGTH, reads_link_pose=True),
     Function("arc_length", _OF_WORLD, (_BODY, _LINE),
-             "The distance that a body has travelled along a line since the reset; backward travel is subtracted.",
+             "The distance that a body has traveled along a line since the reset; backward travel is subtracted.",
              "arc_length(rover, track)", _LENGTH, reads_link_pose=True),
     Function("age", Family.MESSAGE, (_SENDER,), "The time since the measurement in the newest message that arrived.", "age(rover)",
              _TIME, _known(iv.POSITIVE)),

@@ -1,7 +1,7 @@
 """Scalar expressions: the single numbers of an expression, without units and vectors.
 
 Every value is one plain number in SI units or one truth value. A vector expression is lowered to one tree
-per component. These trees are part of the compiled scenario (frozen, comparable, serialisable as JSON), and the
+per component. These trees are part of the compiled scenario (frozen, comparable, serializable as JSON), and the
 generated Python is printed from them.
 
 They are named tuples: rules make and look up so many that frozen dataclasses took 4 % of the time of linting. No two kinds

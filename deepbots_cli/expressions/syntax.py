@@ -68,7 +68,7 @@ class Vector(NamedTuple):
     """Numbers side by side with one unit behind them, as `0 0 1 m`.
 
     A name may take the place of a number (`1 1 pole`). Of two items, the second may be a name: the checker knows whether
-    it is a value or a misspelt unit.
+    it is a value or a misspelled unit.
     """
 
     start: int

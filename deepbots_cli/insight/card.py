@@ -27,12 +27,12 @@ from deepbots_cli.learning.verdict import RunVerdict, run_verdict
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import ActionRange, ObservedValue
 
-FORMAT = 3
+FORMAT = 4
 CARD_NAME = "card.json"
 GRAPH_FILES = ("policy.onnx", "policy_si.onnx")
 _MAX_CARD_BYTES = 10_000_000
 _MAX_GRAPH_BYTES = 1 << 31  # bytes, that of a protobuf message
-_LICENCE = re.compile(r"SPDX-License-Identifier:\s*([A-Za-z0-9][\w.+() -]*)")
+_LICENSE = re.compile(r"SPDX-License-Identifier:\s*([A-Za-z0-9][\w.+() -]*)")
 
 
 class CardImage(BaseModel):
@@ -63,7 +63,7 @@ class Card(BaseModel):
     summary: str
     scenario_digest: str
     task_digest: str
-    licences: Mapping[str, str]
+    licenses: Mapping[str, str]
     algorithm: str
     model: str
     training_seed: int
@@ -118,7 +118,7 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         summary=program.summary,
         scenario_digest=run.digest,
         task_digest=identity.task_digest(program),
-        licences=_licences(run.path / INPUTS_FOLDER),
+        licenses=_licenses(run.path / INPUTS_FOLDER),
         algorithm=program.agent.training.algorithm if program.agent.training else "",
         model=name,
         training_seed=record.seed,
@@ -164,11 +164,11 @@ def _card_actions(program: Program) -> list[CardAction]:
     return found
 
 
-def _licences(inputs: Path) -> dict[str, str]:
+def _licenses(inputs: Path) -> dict[str, str]:
     """The SPDX identifiers in the scenario and robot files of a run, by file."""
     found = {}
     for path in sorted(inputs.rglob("*")):
-        if path.suffix in (".yaml", ".urdf", ".xacro") and (match := _LICENCE.search(path.read_text("utf-8", errors="replace"))):
+        if path.suffix in (".yaml", ".urdf", ".xacro") and (match := _LICENSE.search(path.read_text("utf-8", errors="replace"))):
             found[path.relative_to(inputs).as_posix()] = match[1].strip(" -")
     return found
 

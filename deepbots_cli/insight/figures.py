@@ -159,9 +159,9 @@ def trajectories(
     for panel, plane, (low, high) in zip(panels, planes, limits, strict=True):
         if plane == (0, 1):
             _draw_surroundings(panel, world, fixed, theme)
-        labelled = [each for each in shown if each.label]
-        for each in [*(each for each in shown if not each.label), *labelled]:
-            _draw_episode(panel, plane, each, moving, COLORS[labelled.index(each) if each.label else 6], theme)
+        labeled = [each for each in shown if each.label]
+        for each in [*(each for each in shown if not each.label), *labeled]:
+            _draw_episode(panel, plane, each, moving, COLORS[labeled.index(each) if each.label else 6], theme)
         panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         panel.locator_params(axis="x", nbins=_MAX_TICKS)
         style_panel(panel, "", theme, legend=False, axes=(f"{'xyz'[plane[0]]}, m", f"{'xyz'[plane[1]]}, m"))

@@ -26,10 +26,10 @@ def wilson(successes: int, episodes: int) -> Interval:
     """
     z = NormalDist().inv_cdf(1 - ALPHA / 2)
     rate, spread = successes / episodes, z * z / episodes
-    centre = (rate + spread / 2) / (1 + spread)
+    center = (rate + spread / 2) / (1 + spread)
     half = math.sqrt(rate * (1 - rate) * spread + spread * spread / 4) / (1 + spread)
     # Rounding may leave the rate itself outside: 20 of 20 reach up to exactly 1.
-    return max(0.0, min(rate, centre - half)), min(1.0, max(rate, centre + half))
+    return max(0.0, min(rate, center - half)), min(1.0, max(rate, center + half))
 
 
 def mean_interval(values: Sequence[float], bounds: Interval = UNBOUNDED) -> Interval | None:
@@ -45,8 +45,8 @@ def mean_interval(values: Sequence[float], bounds: Interval = UNBOUNDED) -> Inte
         reach = value - share * (value - bounds[0]), value + share * (bounds[1] - value)
         return reach if math.isfinite(reach[0]) and math.isfinite(reach[1]) else None
     half = float(stdtrit(len(values) - 1, 1 - ALPHA / 2)) * stdev(values) / math.sqrt(len(values))
-    centre = fmean(values)
-    return max(centre - half, min(bounds[0], centre)), min(centre + half, max(bounds[1], centre))
+    center = fmean(values)
+    return max(center - half, min(bounds[0], center)), min(center + half, max(bounds[1], center))
 
 
 def interquartile_mean(values: Sequence[float]) -> float:
@@ -107,7 +107,7 @@ def mean_evidence(mean: float, values: Sequence[float], bounds: Interval) -> tup
 def _capital(gains: Sequence[float], largest_loss: float) -> float:
     """The logarithm of the capital after bets on values of which none is below -`largest_loss`.
 
-    A bet is the ratio of the mean to the mean square of the values before, which nearly maximises the growth of the capital.
+    A bet is the ratio of the mean to the mean square of the values before, which nearly maximizes the growth of the capital.
     """
     if not 0 < largest_loss < math.inf:
         return 0.0

@@ -113,7 +113,7 @@ class SimulationFindings:
 def simulate(checked: CheckedScenario, *, preview: bool = False, limits: Limits = Limits()) -> SimulationFindings:  # immutable
     """Simulate a scenario without errors in a process of its own, and apply the simulated rules.
 
-    If these find errors, warnings are dropped except `_CAUSES`: the behaviour would follow from the errors. A rule that raises an
+    If these find errors, warnings are dropped except `_CAUSES`: the behavior would follow from the errors. A rule that raises an
     exception is reported as DB903, and so is a fault of deepbots in the simulation.
     """
     assert checked.program is not None  # it has no errors

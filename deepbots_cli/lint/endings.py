@@ -426,8 +426,8 @@ def _cores(analysis: Analysis, body: str) -> list[SolidProfile]:
     if model is None or (height := _height(analysis, f"{body}.{model.root}", model)) is None:
         return []
     parts = model.link(model.root).collisions
-    centred = [part for part in parts if part.origin.rpy == (0.0, 0.0, 0.0) and abs(part.origin.xyz[0]) + abs(part.origin.xyz[1]) < 1e-6]
-    return [core for part in centred for core in _core(part.shape, height + part.origin.xyz[2], upright=True)]
+    centered = [part for part in parts if part.origin.rpy == (0.0, 0.0, 0.0) and abs(part.origin.xyz[0]) + abs(part.origin.xyz[1]) < 1e-6]
+    return [core for part in centered for core in _core(part.shape, height + part.origin.xyz[2], upright=True)]
 
 
 def _height(analysis: Analysis, subject: str, shape: Shape | RobotModel) -> float | None:

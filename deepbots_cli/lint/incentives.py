@@ -317,7 +317,7 @@ def _just_before(ranges: Ranges, threshold: Threshold | None) -> Ranges:
 
 
 def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
-    """DB708: another behaviour pays more over a whole episode than success."""
+    """DB708: another behavior pays more over a whole episode than success."""
     successes = simulation.program.successes
     if not successes or not simulation.is_complete:
         return

@@ -25,8 +25,8 @@ _COUNTED_ORIGINS = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMEN
 def unused_definition(context: RuleContext) -> Iterator[Finding]:
     """DB205: a parameter, action variable, field, signal, sensor, actuator or message value is defined and never used.
 
-    Most often the name is misspelt elsewhere, or the definition is left over from an earlier version. A sensor is used if `emit`, `apply`,
-    the observation or an expression of the task uses it. An actuator without a command has no effect: the joint moves freely. Unused parts
+    Most often the name is misspelled elsewhere, or the definition is left over from an earlier version. A sensor is used if `emit`,
+    `apply`, the observation or an expression of the task uses it. An actuator without a command has no effect: the joint moves freely. Unused parts
     of an included robot file are not reported, because they describe the robot and not the task. Definitions of an extended file that the
     scenario removes are not reported either.
 
@@ -38,7 +38,7 @@ def unused_definition(context: RuleContext) -> Iterator[Finding]:
     Instead::
 
         signals: {away: abs(x)}
-        reward: {centred: -away / m}
+        reward: {centered: -away / m}
         robots:
           cart:
             sensors: {rolling: {type: joint_velocity, joints: [wheel_*]}}

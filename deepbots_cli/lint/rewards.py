@@ -314,7 +314,7 @@ def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
         return
     worth = return_range(context.analysis).low
     headline = f"every episode has the return {worth:.4g}, whatever the policy does"
-    help = "pay for the goal, as in `1 when goal_reached`" if context.program.agent.goal else "pay for the intended behaviour"
+    help = "pay for the goal, as in `1 when goal_reached`" if context.program.agent.goal else "pay for the intended behavior"
     if worth > 0.0:
         help += ", or add a failure that ends a bad episode early"
     elif worth < 0.0:  # a failure would end the costs (DB705)

@@ -261,11 +261,11 @@ def _moved(model: RobotModel, where: Mapping[str, Frame], joint: Joint, limit: f
         if link.inertial is None or not joint_moves_link(model, joint, link.name):
             continue
         mass = link.inertial.mass
-        centre, own = frames.compose(where[link.name], frames.frame(link.inertial.origin))
+        center, own = frames.compose(where[link.name], frames.frame(link.inertial.origin))
         if joint.type == "prismatic":
             load, inertia = load + mass * frames.dot(axis, pull), inertia + mass
             continue
-        arm = frames.cross(axis, frames.subtract(centre, pivot))
+        arm = frames.cross(axis, frames.subtract(center, pivot))
         local = frames.rotate_back(own, axis)
         spin = sum(local[i] * row[j] * local[j] for i, row in enumerate(link.inertial.matrix) for j in range(3))
         load, inertia = load + mass * frames.dot(arm, pull), inertia + mass * frames.dot(arm, arm) + spin
@@ -623,14 +623,14 @@ def _can_lift(world: WorldModel) -> bool:
 
 def _standing_height(model: RobotModel) -> float | None:
     """The height (m) of the root's origin on level ground; None for a robot that joints raise, or that has to balance."""
-    contact_points, centre = footprint.contact_points(model, _FOOT_HEIGHT_M), _centre_of_mass(model)
+    contact_points, center = footprint.contact_points(model, _FOOT_HEIGHT_M), _center_of_mass(model)
     stands = contact_points and all(
-        min(foot[axis] for foot in contact_points) < centre[axis] < max(foot[axis] for foot in contact_points) for axis in (0, 1)
+        min(foot[axis] for foot in contact_points) < center[axis] < max(foot[axis] for foot in contact_points) for axis in (0, 1)
     )
     return footprint.resting_height(model) if stands and _end_is_motionless(model, _LOWEST) else None
 
 
-def _centre_of_mass(model: RobotModel) -> tuple[float, float]:
+def _center_of_mass(model: RobotModel) -> tuple[float, float]:
     """(x, y) in the frame of the root, m, with all joints at 0."""
     where = footprint.link_frames(model)
     inertials = [(link.name, link.inertial) for link in model.links if link.inertial]

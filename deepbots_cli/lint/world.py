@@ -39,11 +39,11 @@ _MAX_MASS_RATIO = 1e5
 """Times the mass of all robots together."""
 _WATER_DENSITY = 1000.0
 """kg/m^3"""
-_LENGTHS_IN_METRES = re.compile(r"([\d.]+(?: [\d.]+)*) *m")
+_LENGTHS_IN_METERS = re.compile(r"([\d.]+(?: [\d.]+)*) *m")
 _Robots = list[tuple[RobotBody, float]]
 """With the size of each, m: the longest side of the box around its links, without meshes."""
 _MAX_DEPTH = 0.005
-"""m; engines let what rests sink in by less than a millimetre, and what is placed by hand is often a little off.
+"""m; engines let what rests sink in by less than a millimeter, and what is placed by hand is often a little off.
 
 A cart or a crate was pushed out of the ground at 0.01 to 0.04 m/s from 4 mm, at up to 0.22 m/s from 5 mm and up to 0.5 m/s from
 10 mm (physics steps of 8 and of 1 ms); a fall of 1 mm gives 0.14 m/s.
@@ -86,7 +86,7 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
 def odd_scale(context: RuleContext) -> Iterator[Finding]:
     """DB507: the size or the mass of an object is implausible.
 
-    A puck with `radius: 4 m` is 8 m across; its radius is probably in centimetres. The rule reports an object that is at least four times
+    A puck with `radius: 4 m` is 8 m across; its radius is probably in centimeters. The rule reports an object that is at least four times
     as large as a robot that begins within it; a movable object of less than 0.1 or more than 25 000 kg/m^3 (air has 1.2, osmium 22 600);
     and a movable object that is 100 000 times as heavy as all robots together. For an object that must not move, write `fixed: true`
     instead of a large mass.
@@ -134,7 +134,7 @@ def _object_around_robot(
     for robot, size in robots:
         if width >= _MAX_SIZE_RATIO * size and _is_within(start, robot, thing, kind.shape):
             headline = f"`{path[-1]}` is {with_unit(width, LENGTH)} across, and `{robot.name}` ({with_unit(size, LENGTH)}) begins inside it"
-            return Finding("DB507", values.span_of_first(path, "radius", "size"), headline, _in_centimetres(path, values))
+            return Finding("DB507", values.span_of_first(path, "radius", "size"), headline, _in_centimeters(path, values))
     return None
 
 
@@ -184,16 +184,16 @@ def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath,
     if carried <= 0.0 or kind.mass < _MAX_MASS_RATIO * carried:
         return None
     headline = f"`{path[-1]}` weighs {weight}, and all robots together weigh {with_unit(carried, MASS)}"
-    return Finding("DB507", values.span_of_first(path, "mass", "radius", "size"), headline, _in_centimetres(path, values))
+    return Finding("DB507", values.span_of_first(path, "mass", "radius", "size"), headline, _in_centimeters(path, values))
 
 
-def _in_centimetres(path: NodePath, values: ValueReader) -> str:
-    """A help with the same size in centimetres, where it is written in metres."""
+def _in_centimeters(path: NodePath, values: ValueReader) -> str:
+    """A help with the same size in centimeters, where it is written in meters."""
     written = values.span_of_first(path, "radius", "size").text
-    found = _LENGTHS_IN_METRES.fullmatch(written)
+    found = _LENGTHS_IN_METERS.fullmatch(written)
     if found is None:
         return "check the unit of its size"
-    return f"write `{found[1]} cm` if you mean centimetres"
+    return f"write `{found[1]} cm` if you mean centimeters"
 
 
 # Measured in a simulation

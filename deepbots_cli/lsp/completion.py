@@ -75,7 +75,7 @@ _COLON = re.compile(r"[\w]*[ \t]*:")
 def completion(view: CursorView) -> CompletionList:
     """All completions at the place; the client filters them by the text before the cursor.
 
-    The list is marked as incomplete until the current text is analysed, so that the client asks again at the next letter.
+    The list is marked as incomplete until the current text is analyzed, so that the client asks again at the next letter.
     """
     place = view.place
     if view.document.is_blank:

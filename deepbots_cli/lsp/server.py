@@ -34,7 +34,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lsp.completion import completion
 from deepbots_cli.lsp.lookup import definitions, document_symbols, hover
-from deepbots_cli.lsp.workspace import CursorView, Document, DocumentAnalysis, Locator, Workspace, analyse, common_prefix, path_of
+from deepbots_cli.lsp.workspace import CursorView, Document, DocumentAnalysis, Locator, Workspace, analyze, common_prefix, path_of
 
 # Findings as diagnostics, and the text edits that fix or suppress them
 
@@ -77,7 +77,7 @@ _DEBOUNCE = 0.05
 
 Publish = Callable[[str, int | None, list[types.Diagnostic]], None]
 Warn = Callable[[str], None]
-Analyse = Callable[[Document, Drafts], DocumentAnalysis]
+Analyze = Callable[[Document, Drafts], DocumentAnalysis]
 
 
 class _Published(NamedTuple):
@@ -98,9 +98,9 @@ class Checker:
     message for the user.
     """
 
-    def __init__(self, workspace: Workspace, analyse: Analyse, publish: Publish, warn: Warn) -> None:
+    def __init__(self, workspace: Workspace, analyze: Analyze, publish: Publish, warn: Warn) -> None:
         self._workspace = workspace
-        self._analyse = analyse
+        self._analyze = analyze
         self._publish = publish
         self._warn = warn
         self._queue: dict[str, None] = {}
@@ -109,7 +109,7 @@ class Checker:
         self._published: dict[str, _Published] = {}
 
     def schedule(self, *uris: str) -> None:
-        """Analyse documents soon, before the documents that wait already."""
+        """Analyze documents soon, before the documents that wait already."""
         self._queue = {**dict.fromkeys(uris), **self._queue}
         if self._task is None or self._task.done():
             self._task = asyncio.get_running_loop().create_task(self._run_queue())
@@ -145,9 +145,9 @@ class Checker:
             self._warn(f"deepbots could not check this file, which is a fault of its own: {type(error).__name__}: {error}")
 
     def _run(self, document: Document, drafts: Drafts) -> DocumentAnalysis:
-        """Analyse in the thread, and collect garbage there, because the server disables automatic collection."""
+        """Analyze in the thread, and collect garbage there, because the server disables automatic collection."""
         try:
-            return self._analyse(document, drafts)
+            return self._analyze(document, drafts)
         finally:
             gc.collect()
 
@@ -349,7 +349,7 @@ class Server(LanguageServer):
         self._is_shut_down = False
         self.scenarios = Workspace()
         self._warned: set[str] = set()
-        run = partial(analyse, permissions=permissions)
+        run = partial(analyze, permissions=permissions)
         self.checker = Checker(self.scenarios, run, self._publish, self._warn)
         self._register(types.TEXT_DOCUMENT_DID_OPEN, self._opened)
         self._register(types.TEXT_DOCUMENT_DID_CHANGE, self._changed)
@@ -406,11 +406,11 @@ class Server(LanguageServer):
         document = Document(uri, version, text, path_of(uri), self.workspace.position_codec)
         self.scenarios.put(document)
         dependents = self.scenarios.dependents(document)
-        # An included file is analysed with the scenarios that read it.
+        # An included file is analyzed with the scenarios that read it.
         self.checker.schedule(*([uri] if document.is_scenario or not dependents else []), *dependents)
 
     def _saved(self, _params: object) -> None:
-        """Analyse all documents again: a robot, a mesh or the project's settings may have changed."""
+        """Analyze all documents again: a robot, a mesh or the project's settings may have changed."""
         self.checker.schedule(*self.scenarios.documents)
 
     def _closed(self, params: types.DidCloseTextDocumentParams) -> None:

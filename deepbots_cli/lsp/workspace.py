@@ -187,7 +187,7 @@ class DocumentAnalysis:
         return tuple(reading for one in each if one.namespace is not None for reading in one.namespace.values.readings)
 
 
-def analyse(document: Document, drafts: Drafts, *, permissions: Permissions = Permissions()) -> DocumentAnalysis:
+def analyze(document: Document, drafts: Drafts, *, permissions: Permissions = Permissions()) -> DocumentAnalysis:
     """Load, check and lint a document. `drafts` replace files on the disk; the permissions are those of `deepbots lint`."""
     if not document.is_scenario:
         return DocumentAnalysis(document, drafts)  # scenarios that include the file report its findings

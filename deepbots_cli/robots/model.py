@@ -71,7 +71,7 @@ Shape = Box | Sphere | Cylinder | Capsule | Mesh
 
 @dataclass(frozen=True)
 class Inertial:
-    """Mass in kg; inertia about the centre of mass in the frame `origin`, in kg m^2."""
+    """Mass in kg; inertia about the center of mass in the frame `origin`, in kg m^2."""
 
     mass: float
     origin: Pose = Pose()
@@ -253,7 +253,7 @@ class RobotModel:
         return mass
 
 
-# Simple shapes: inertia in kg m^2 about the centre of mass, in axes parallel to the shape's own
+# Simple shapes: inertia in kg m^2 about the center of mass, in axes parallel to the shape's own
 
 _IDENTITY_POSE = Pose()
 # Published files round to three digits, and a flat plate lies exactly on the boundary.
@@ -485,7 +485,7 @@ class _ShapeError(Exception):
 def with_scale(model: RobotModel, link: str, scale: Vector) -> RobotModel | str:
     """The link stretched by `scale` along the axes of its own frame, as if it were made longer from the same material.
 
-    Shapes, centre of mass and the origins of child joints move with it, mass grows with the volume, and the
+    Shapes, center of mass and the origins of child joints move with it, mass grows with the volume, and the
     inertia is exact for any distribution of mass, since the second moments transform linearly.
     """
     if not all(math.isfinite(factor) and factor > 0 for factor in scale):

@@ -3,7 +3,7 @@
 A channel delivers every message at once; a lossy one, where the scenario asks for it, late, in another order or not at all.
 
 Every message opens with the layout's stamp, so that one of another layout, version or robot is
-recognised. A codec takes the values in field order (a vector as its components); decoding returns
+recognized. A codec takes the values in field order (a vector as its components); decoding returns
 the stamp and the values. All formats carry 64-bit floats exactly. A picture is its bytes, in formats of text in base64.
 `FieldCodec` is what a channel uses: it takes and gives one value per field, and checks the layout.
 """

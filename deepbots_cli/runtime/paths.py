@@ -332,7 +332,7 @@ def path_lengths(blocked: Mask, starts: Array, cell: float) -> Array:
     Args:
         blocked: Nodes that no way passes, with a margin of blocked ones all around, shape (rows, columns).
         starts: Lengths at which ways may end, FAR elsewhere, of the same shape.
-        cell: The distance of neighbouring nodes, m.
+        cell: The distance of neighboring nodes, m.
     """
     directions = [_GridLines(blocked, rows, columns, cell) for rows, columns in _MOVES]
     found = starts.ravel().copy()
@@ -477,7 +477,7 @@ class PaintedGround:
 
 
 def _touched(piece: Segment, reach: float, cell: float) -> Iterator[tuple[int, int]]:
-    """The cells of a square mesh that come within `reach` of a piece, and some of their neighbours."""
+    """The cells of a square mesh that come within `reach` of a piece, and some of their neighbors."""
     count = int(piece.length / cell) + 1
     seen = set()
     for step in range(count + 1):

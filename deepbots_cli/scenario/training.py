@@ -113,7 +113,7 @@ class _OnPolicy(Training):
     gae_lambda: Fraction | None = None
     """Lambda of generalized advantage estimation (GAE), 0 to 1: a trade-off between bias and variance."""
     normalize_advantage: Bool | None = None
-    """Whether advantages are normalised."""
+    """Whether advantages are normalized."""
     ent_coef: Weight | None = None
     """Weight of the entropy in the loss: a higher weight means more exploration."""
     vf_coef: Weight | None = None

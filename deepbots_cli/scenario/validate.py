@@ -93,7 +93,7 @@ def validate(root: nodes.MappingNode, findings: Findings) -> Scenario | None:
             return scenario
         problems = [_problem(root, data, error) for error in errors]
         if round_number == 0:
-            new = [problem for problem in problems if not (_is_follow_up(root, problem) or _is_misspelt(problem, problems))]
+            new = [problem for problem in problems if not (_is_follow_up(root, problem) or _is_misspelled(problem, problems))]
             found = [problem.finding for problem in _merge_missing_sections(root, _merge_misplaced_section(root, data, new))]
             for one in found:
                 findings.append(one)
@@ -238,10 +238,10 @@ def _is_follow_up(root: nodes.MappingNode, problem: _Problem) -> bool:
     return is_missing or problem.finding.code == "DB107"
 
 
-def _is_misspelt(problem: _Problem, problems: list[_Problem]) -> bool:
-    """Whether a key that is reported as unknown is the missing one, misspelt."""
-    misspelt = (other.replacement for other in problems if problem.missing and other.path[:-1] == problem.path)
-    return any(near is not None and near.text in problem.missing for near in misspelt)
+def _is_misspelled(problem: _Problem, problems: list[_Problem]) -> bool:
+    """Whether a key that is reported as unknown is the missing one, misspelled."""
+    misspelled = (other.replacement for other in problems if problem.missing and other.path[:-1] == problem.path)
+    return any(near is not None and near.text in problem.missing for near in misspelled)
 
 
 def _merge_misplaced_section(root: nodes.MappingNode, data: Any, problems: list[_Problem]) -> list[_Problem]:

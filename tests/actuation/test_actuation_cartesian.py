@@ -41,7 +41,7 @@ def where(reach: tuple[float, float, float]) -> tuple[float, float, float]:
     return (0.6 + 0.15 * reach[0], 0.2 + 0.15 * reach[1], 0.3 + 0.15 * reach[2])
 
 
-def test_the_hand_reaches_places_of_the_world_within_a_millimetre_and_keeps_its_attitude(arm: Make):
+def test_the_hand_reaches_places_of_the_world_within_a_millimeter_and_keeps_its_attitude(arm: Make):
     panda = arm()
     read, states = panda.engine.pose("panda", "panda_grasptarget"), panda.engine.joint_states("panda", JOINTS)
     model = panda.scenario.world.robots[0].model

@@ -23,7 +23,7 @@ URDF = Path(__file__).parents[2] / "robots" / "urdf" / "cartpole_rail.urdf"
 TIMESTEP = 0.02
 
 
-def normalised(value: float, low: float, high: float) -> float:
+def normalized(value: float, low: float, high: float) -> float:
     """[low, high] to [-1, 1]."""
     return np.clip(2.0 * (value - low) / (high - low) - 1.0, -1.0, 1.0)
 
@@ -133,10 +133,10 @@ class LayeredCartPole(gym.Env[np.ndarray, int]):
     def get_observations(self) -> np.ndarray:
         place, rate, lean, turn = self.message
         figures = [
-            normalised(place, -2.4, 2.4),
-            normalised(rate, -3.0, 3.0),
-            normalised(lean, -0.3, 0.3),
-            normalised(turn, -3.0, 3.0),
+            normalized(place, -2.4, 2.4),
+            normalized(rate, -3.0, 3.0),
+            normalized(lean, -0.3, 0.3),
+            normalized(turn, -3.0, 3.0),
         ]
         return np.array(figures, dtype=np.float32)
 

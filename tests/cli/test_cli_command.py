@@ -139,7 +139,7 @@ def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, n
     assert meant in COMMANDS or any(meant in parameter.opts for verb in COMMANDS for parameter in Commands().get_command(None, verb).params)
 
 
-def test_a_misspelt_verb_is_wrong_usage_and_the_right_one_is_suggested(deepbots):
+def test_a_misspelled_verb_is_wrong_usage_and_the_right_one_is_suggested(deepbots):
     ran = deepbots("trian")
     assert (ran.code, ran.out) == (2, "")
     assert "did you mean 'train'?" in ran.err
@@ -173,7 +173,7 @@ def test_a_scenario_with_errors_is_shown_in_full_by_every_verb(deepbots, verb):
     assert "^^^^" in ran.err
 
 
-def test_a_misspelt_scenario_is_suggested(deepbots):
+def test_a_misspelled_scenario_is_suggested(deepbots):
     assert "did you mean cartpole?" in deepbots("train", "cartpol.yaml").err
 
 

@@ -161,9 +161,9 @@ def test_a_word_that_is_known_is_not_said_to_be_unknown_because_of_json(deepbots
     [
         ("HER", "hindsight"),
         ("hindsight", "hindsight"),
-        ("domain randomisation", "domain randomisation"),
-        ("Domain Randomization", "domain randomisation"),
-        ("domain-randomization", "domain randomisation"),
+        ("domain randomisation", "domain randomization"),
+        ("Domain Randomization", "domain randomization"),
+        ("domain-randomization", "domain randomization"),
         ("camera", "camera"),
         ("noise", "noise"),
         ("curriculum", "curriculum"),
@@ -185,15 +185,15 @@ def test_a_word_that_is_known_is_not_said_to_be_unknown_because_of_json(deepbots
         ("baselines", "baseline"),
         ("held-out", "evaluation"),
         ("success rate", "success"),
-        ("observation normalization", "normalisation"),
+        ("observation normalization", "normalization"),
         ("action scaling", "action scaling"),
         ("discount factor", "discount"),
-        ("VecEnv", "vectorised environments"),
-        ("vectorized environments", "vectorised environments"),
+        ("VecEnv", "vectorized environments"),
+        ("vectorised environments", "vectorized environments"),
         ("checkpoints", "checkpoint"),
         ("resume", "resume"),
         ("record", "video"),
-        ("normalise", "normalisation"),
+        ("normalise", "normalization"),
         ("mask", "action mask"),
     ],
 )
@@ -224,7 +224,7 @@ def test_the_case_of_a_word_does_not_matter(deepbots, word, said):
 def test_words_of_a_concept_lead_to_it(deepbots):
     ran = deepbots("explain", "domain")
     assert ran.code == 2
-    assert ran.err.endswith("'domain'; see \"domain randomisation\"\n")
+    assert ran.err.endswith("'domain'; see \"domain randomization\"\n")
 
 
 @pytest.mark.parametrize("topic", topics(), ids=lambda topic: topic.name)

@@ -74,7 +74,7 @@ def test_a_decimal_comma_and_a_component_are_guessed_within_what_stands_around_t
 
 
 @pytest.mark.parametrize("change", UNSAFE.values(), ids=UNSAFE.keys())
-def test_a_misspelt_name_is_put_right_only_where_guesses_are_allowed(deepbots, scenario, change):
+def test_a_misspelled_name_is_put_right_only_where_guesses_are_allowed(deepbots, scenario, change):
     path = scenario(faulty(change))
     assert deepbots("lint", "a.yaml", "--fix").code == 1
     assert path.read_text() == faulty(change)
@@ -82,7 +82,7 @@ def test_a_misspelt_name_is_put_right_only_where_guesses_are_allowed(deepbots, s
     assert path.read_text() == CARTPOLE
 
 
-def test_a_misspelt_sensor_is_put_right(deepbots, scenario):
+def test_a_misspelled_sensor_is_put_right(deepbots, scenario):
     path = scenario(CARTPOLE.replace("    apply: {", "    emit: [pole_angl]\n    apply: {"))
     assert deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes").code == 0
     assert "    emit: [pole_angle]\n" in path.read_text()

@@ -15,7 +15,7 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics import Source as SourceText
 from deepbots_cli.lint.context import RuleContext, Simulation
 from deepbots_cli.lsp.server import diagnostics
-from deepbots_cli.lsp.workspace import Document, analyse
+from deepbots_cli.lsp.workspace import Document, analyze
 from deepbots_cli.rollout.source import Source
 
 
@@ -101,7 +101,7 @@ def test_a_scenario_on_which_a_rule_fails_still_compiles(folder) -> None:
 def test_an_editor_shows_a_rule_that_failed_beside_the_other_findings(folder) -> None:
     path = folder / "a.yaml"
     document = Document(path.as_uri(), 1, path.read_text(encoding="utf-8"), path)
-    (found, _) = diagnostics(analyse(document, {}), {})[path.as_uri()]
+    (found, _) = diagnostics(analyze(document, {}), {})[path.as_uri()]
     assert (found.code, found.range.start.line, found.range.start.character) == ("DB903", 0, 0)
 
 

@@ -61,7 +61,7 @@ def test_long_chains_of_definitions_end_in_a_value_or_a_finding(workshop, cartpo
     assert time.perf_counter() - began < 10
 
 
-# What one misspelt or broken piece takes away is not reported again where it is used.
+# What one misspelled or broken piece takes away is not reported again where it is used.
 BROKEN = {
     "parameters:": "parameter:",
     "augment:": "augmnt:",

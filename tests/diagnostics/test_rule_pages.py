@@ -86,7 +86,7 @@ def test_every_finding_has_a_page_and_all_but_four_an_example() -> None:
     assert [page.code for page in every_page() if not page.example] == ["DB316", "DB410", "DB902", "DB903"]
 
 
-def test_a_rule_is_in_the_catalogue_under_the_name_of_its_function() -> None:
+def test_a_rule_is_in_the_catalog_under_the_name_of_its_function() -> None:
     for rule in STATIC_RULES:
         name = rule.__name__.replace("_", "-")
         assert RULES[code_of(rule)].name == name

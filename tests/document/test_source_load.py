@@ -335,7 +335,7 @@ def test_a_section_that_the_file_leaves_out_is_begun_by_an_assignment() -> None:
     }
 
 
-def test_a_misspelt_section_in_an_assignment_is_not_begun() -> None:
+def test_a_misspelled_section_in_an_assignment_is_not_begun() -> None:
     document = loads("deepbots: 1\nname: X\nmessages: {format: csv}\n", overrides=["mesages.format=none"])
     assert [finding.code for finding in document.findings] == ["DB201"]
 

@@ -67,7 +67,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def client(folder: Path) -> Iterator[Client]:
-    """The server, without its catalogues in the net."""
+    """The server, without its catalogs in the net."""
     server = os.environ.get("YAML_LANGUAGE_SERVER")
     if server is None:
         pytest.skip("`make editors` installs the server and runs this")

@@ -27,11 +27,11 @@ def block(name: str, mass: float = 1.0) -> Link:
 def cart() -> RobotModel:
     """A hull of two boxes on four wheels, with a pole on a hinge."""
     wheels = [(f"wheel_{i}", x, y) for i, (x, y) in enumerate(((0.06, 0.05), (0.06, -0.05), (-0.06, 0.05), (-0.06, -0.05)))]
-    tyre = (Geometry(Cylinder(0.04, 0.02), Pose(rpy=(pi / 2, 0, 0))),)
+    tire = (Geometry(Cylinder(0.04, 0.02), Pose(rpy=(pi / 2, 0, 0))),)
     hull = tuple(Geometry(Box((0.08, 0.05, 0.04)), Pose((x, 0, 0.02))) for x in (0.06, -0.06))
     links = (
         Link("body", Inertial(2.0, ixx=0.0015, iyy=0.0077, izz=0.0071), hull, hull),
-        *(Link(name, Inertial(0.1, ixx=4e-5, iyy=8e-5, izz=4e-5), tyre, tyre, Friction(1.0)) for name, _, _ in wheels),
+        *(Link(name, Inertial(0.1, ixx=4e-5, iyy=8e-5, izz=4e-5), tire, tire, Friction(1.0)) for name, _, _ in wheels),
         rod("pole", 0.2),
     )
     joints = (
@@ -64,7 +64,7 @@ class Worlds:
 
     @staticmethod
     def rotor(timestep: float = 0.02, substeps: int = 4) -> WorldModel:
-        """A link on a vertical hinge, whose centre of mass lies off the axis, weightless."""
+        """A link on a vertical hinge, whose center of mass lies off the axis, weightless."""
         arm = Link("arm", Inertial(2.0, Pose((0.3, 0.1, 0)), ixx=0.02, iyy=0.02, izz=0.02))
         hinge = Joint("hinge", "continuous", "base", "arm", origin=Pose((0.2, 0, 0)), axis=(0, 0, 1))
         model = RobotModel("rotor", (block("base"), arm), (hinge,), root="base")
@@ -72,7 +72,7 @@ class Worlds:
 
     @staticmethod
     def crooked(timestep: float = 0.02, substeps: int = 4) -> WorldModel:
-        """A free body whose centre of mass and principal axes are not those of its frame."""
+        """A free body whose center of mass and principal axes are not those of its frame."""
         inertial = Inertial(0.7, Pose((0.1, -0.2, 0.05), (0.3, 0.2, -0.4)), 0.01, 0.002, 0.001, 0.02, -0.001, 0.025)
         model = RobotModel("stone", (Link("stone", inertial),), (), root="stone")
         return WorldModel(timestep, substeps, ground=None, robots=(RobotBody("robot", model),))

@@ -37,7 +37,7 @@ def wall(x: float, color=RED, **figures: object) -> ObjectBody:
 
 
 def rays() -> tuple[np.ndarray, np.ndarray]:
-    """Tangents to the left and up of the centres of pixels."""
+    """Tangents to the left and up of the centers of pixels."""
     left = PIXEL * (WIDE / 2 - np.arange(WIDE) - 0.5)
     up = PIXEL * (HIGH / 2 - np.arange(HIGH) - 0.5)
     return left[None, :], up[:, None]
@@ -73,8 +73,8 @@ def test_a_camera_looks_along_its_mount_on_a_link_that_turns(engine_name, build)
     engine.place("scout", (0.0, 0.0, 0.5), frames.IDENTITY_ROTATION)
     assert (look().bodies != look().body_names.index("wall")).all()
     engine.set_joint("scout", "neck", 1.2, 0.0)
-    centre = look().depth[HIGH // 2 - 5 : HIGH // 2 + 5, WIDE // 2 - 5 : WIDE // 2 + 5]
-    assert centre == pytest.approx(2.0, rel=1e-4)
+    center = look().depth[HIGH // 2 - 5 : HIGH // 2 + 5, WIDE // 2 - 5 : WIDE // 2 + 5]
+    assert center == pytest.approx(2.0, rel=1e-4)
     engine.set_joint("scout", "neck", 1.2 + 0.2, 0.0)
     columns = np.where((look().bodies == look().body_names.index("wall")).any(axis=0))[0]
     assert PIXEL * (columns.mean() + 0.5 - WIDE / 2) == pytest.approx((tan(0.2 + 0.245) + tan(0.2 - 0.245)) / 2, abs=0.05)

@@ -158,7 +158,7 @@ def test_a_body_goes_exactly_where_it_is_placed(engine_name, worlds, build):
     assert engine.velocity("ball")() == ((0, 0, 0), (0, 0, 0))
 
 
-def test_placing_means_the_origin_of_the_link_and_not_its_centre_of_mass(engine_name, worlds, build):
+def test_placing_means_the_origin_of_the_link_and_not_its_center_of_mass(engine_name, worlds, build):
     engine = build(engine_name, worlds.crooked())
     engine.place("robot", (0.1, 0.2, 0.3), TURNED)
     position, orientation = engine.pose("robot")()

@@ -212,10 +212,10 @@ def test_a_push_acts_at_the_origin_of_a_body_for_one_engine_step(engine_name, fr
     local_force, local_torque = inside @ force, inside @ torque
     tilted = np.array([frames.rotate(quaternion(*inertial.origin.rpy), axis) for axis in np.eye(3)]).T
     own = np.array([[0.01, 0.002, 0.001], [0.002, 0.02, -0.001], [0.001, -0.001, 0.025]])
-    centre = np.array(inertial.origin.xyz)
-    spin = turn @ np.linalg.solve(tilted @ own @ tilted.T, local_torque - np.cross(centre, local_force)) * 0.001
+    center = np.array(inertial.origin.xyz)
+    spin = turn @ np.linalg.solve(tilted @ own @ tilted.T, local_torque - np.cross(center, local_force)) * 0.001
     assert angular == pytest.approx(spin, rel=1e-3, abs=1e-9)
-    speed = turn @ local_force / 0.7 * 0.001 + np.cross(spin, turn @ -centre)
+    speed = turn @ local_force / 0.7 * 0.001 + np.cross(spin, turn @ -center)
     assert engine.velocity("robot")()[0] == pytest.approx(speed, rel=1e-3, abs=1e-9)
     engine.step(1)
     assert engine.velocity("robot")()[1] == pytest.approx(angular, rel=1e-2, abs=1e-7)

@@ -169,6 +169,6 @@ def test_links_that_are_fixed_to_each_other_are_one_body(worlds):
 
     hold = Joint("hold", "fixed", "low", "high", Pose((0, 0, 0.5), (0.0, 0.0, 1.2)))
     lump = joined(RobotModel("rod", (half("low"), half("high")), (hold,), root="low"), "low")
-    assert (lump.mass, lump.centre) == (1.0, pytest.approx((0, 0, 0.5)))
+    assert (lump.mass, lump.center) == (1.0, pytest.approx((0, 0, 0.5)))
     assert lump.inertia[0][0] == pytest.approx(1 / 12)
     assert lump.inertia_about((0, 1, 0)) == pytest.approx(1 / 3)

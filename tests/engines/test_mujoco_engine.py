@@ -77,8 +77,8 @@ def test_the_friction_of_a_pair_is_the_product(one, other, build):
 
 def spinner() -> RobotModel:
     """A wheel of 80 g in the air, on a heavy stand, with a range of half a turn."""
-    tyre = (Geometry(Cylinder(0.03, 0.02), Pose(rpy=(pi / 2, 0, 0))),)
-    wheel = Link("wheel", Inertial(0.08, ixx=2e-5, iyy=3.6e-5, izz=2e-5), tyre, tyre, Friction(1.0))
+    tire = (Geometry(Cylinder(0.03, 0.02), Pose(rpy=(pi / 2, 0, 0))),)
+    wheel = Link("wheel", Inertial(0.08, ixx=2e-5, iyy=3.6e-5, izz=2e-5), tire, tire, Friction(1.0))
     joints = (Joint("axle", "revolute", "stand", "wheel", Pose((0, 0, 1)), (0, 1, 0), Limit(-pi / 2, pi / 2)),)
     return RobotModel("spinner", (Link("stand", Inertial(5.0, ixx=0.1, iyy=0.1, izz=0.1)), wheel), joints, root="stand")
 
@@ -98,9 +98,9 @@ def test_a_strong_motor_on_a_light_wheel_is_stable_and_its_range_is_in_radians(b
 
 
 def test_a_wheel_is_a_cylinder_to_everything_but_flat_ground(build):
-    """8 cm from its axle the face of a wheel is flat: a tyre would be 12 mm further away there."""
-    tyre = (Geometry(Cylinder(0.1, 0.06), Pose(rpy=(pi / 2, 0, 0))),)
-    wheel = Link("wheel", Inertial(1.0, ixx=0.003, iyy=0.005, izz=0.003), tyre, tyre, Friction(1.0))
+    """8 cm from its axle the face of a wheel is flat: a tire would be 12 mm further away there."""
+    tire = (Geometry(Cylinder(0.1, 0.06), Pose(rpy=(pi / 2, 0, 0))),)
+    wheel = Link("wheel", Inertial(1.0, ixx=0.003, iyy=0.005, izz=0.003), tire, tire, Friction(1.0))
     axle = Joint("axle", "continuous", "stand", "wheel", Pose((0, 0, 0.099)), (0, 1, 0))
     stand = RobotModel("spinner", (Link("stand", Inertial(5.0, ixx=0.1, iyy=0.1, izz=0.1)), wheel), (axle,), root="stand")
     eye = RobotModel("eye", (Link("eye", Inertial(1.0, ixx=0.1, iyy=0.1, izz=0.1)),), (), root="eye")

@@ -128,7 +128,7 @@ def test_a_rolling_cylinder_has_the_inertia_of_a_cylinder(worlds, build):
     assert engine.velocity("drum")()[0][0] == pytest.approx(1.0, rel=0.01)
 
 
-def test_the_velocity_of_a_link_is_that_of_its_origin_and_not_of_its_centre_of_mass(worlds, build):
+def test_the_velocity_of_a_link_is_that_of_its_origin_and_not_of_its_center_of_mass(worlds, build):
     engine = build("pybullet", worlds.rotor())
     engine.set_joint("robot", "hinge", 0.6, 3.0)
     for _ in range(5):

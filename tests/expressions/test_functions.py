@@ -85,7 +85,7 @@ def install(folder, module, target="more_functions:FUNCTIONS"):
     (info / "entry_points.txt").write_text(f"[deepbots.functions]\nmore = {target}\n")
     (folder / "twice.yaml").write_text(
         f"deepbots: 1\nextends: {ROOT}/scenarios/cartpole.yaml\n"
-        "parameters: {near: double(0.25 m)}\nreward: {centred: 1 when double(abs(cart.pole_angle)) < double(near) * rad / m}\n"
+        "parameters: {near: double(0.25 m)}\nreward: {centered: 1 when double(abs(cart.pole_angle)) < double(near) * rad / m}\n"
     )
 
 

@@ -100,9 +100,9 @@ def test_every_unit_is_understood_behind_a_number(bench, name):
 
 
 @pytest.mark.parametrize(
-    ("typed", "meant"), [("metres", "m"), ("degrees", "deg"), ("Nm", "N*m"), ("hz", "Hz"), ("sec", "s"), ("kgg", "kg")]
+    ("typed", "meant"), [("meters", "m"), ("degrees", "deg"), ("Nm", "N*m"), ("hz", "Hz"), ("sec", "s"), ("kgg", "kg")]
 )
-def test_a_misspelt_unit_is_recognised(bench, typed, meant):
+def test_a_misspelled_unit_is_recognized(bench, typed, meant):
     suggested = suggest_unit(typed)
     assert suggested is not None
     assert (suggested.text, suggested.safe) == (meant, typed != "kgg")  # a unit written out is certain, a slip of the finger a guess

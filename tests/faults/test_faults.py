@@ -38,17 +38,17 @@ def test_there_are_a_thousand_of_them_in_every_way_of_writing(cases: list[Inject
 
 
 FOLLOWED = {
-    "a misspelt arena leaves a region without spots": ("find_ball_random", "size: 1 1 m", "sizze: 1 1 m", "DB101"),
-    "a misspelt goal makes a success rate meaningless": ("panda_reach", "  range:   ", "  rangge:   ", "DB101"),
-    "a misspelt group makes an action a single number": ("quadrotor", "each: drone", "eacch: drone", "DB101"),
-    "a misspelt range leaves no action": ("quadrotor", "push: {range:", "push: {rangge:", "DB101"),
-    "a misspelt policy leaves copies without one": ("multi_cartpole", "agent: {each:", "agent: {eacch:", "DB101"),
-    "a misspelt spacing leaves copies at one place": ("multi_cartpole", "spacing:", "spacinng:", "DB101"),
-    "a misspelt place leaves copies of an object without one": ("tag", "  place:", "  placce:", "DB101"),
-    "a misspelt limit leaves an ending that a test expects without one": ("balancer", "{max_time: 10", "{max_timme: 10", "DB101"),
-    "a misspelt name of a stage leaves a test without its stage": ("find_ball_random", "- {name: open", "- {nname: open", "DB101"),
-    "a misspelt range leaves rays without an end": ("find_and_avoid", "rays: 13, range:", "rays: 13, rangge:", "DB101"),
-    "a misspelt action of a test leaves another one undecided": ("find_ball", "[{gas: 1, wheel: -1}", "[{gas: 1, wheeel: -1}", "DB201"),
+    "a misspelled arena leaves a region without spots": ("find_ball_random", "size: 1 1 m", "sizze: 1 1 m", "DB101"),
+    "a misspelled goal makes a success rate meaningless": ("panda_reach", "  range:   ", "  rangge:   ", "DB101"),
+    "a misspelled group makes an action a single number": ("quadrotor", "each: drone", "eacch: drone", "DB101"),
+    "a misspelled range leaves no action": ("quadrotor", "push: {range:", "push: {rangge:", "DB101"),
+    "a misspelled policy leaves copies without one": ("multi_cartpole", "agent: {each:", "agent: {eacch:", "DB101"),
+    "a misspelled spacing leaves copies at one place": ("multi_cartpole", "spacing:", "spacinng:", "DB101"),
+    "a misspelled place leaves copies of an object without one": ("tag", "  place:", "  placce:", "DB101"),
+    "a misspelled limit leaves an ending that a test expects without one": ("balancer", "{max_time: 10", "{max_timme: 10", "DB101"),
+    "a misspelled name of a stage leaves a test without its stage": ("find_ball_random", "- {name: open", "- {nname: open", "DB101"),
+    "a misspelled range leaves rays without an end": ("find_and_avoid", "rays: 13, range:", "rays: 13, rangge:", "DB101"),
+    "a misspelled action of a test leaves another one undecided": ("find_ball", "[{gas: 1, wheel: -1}", "[{gas: 1, wheeel: -1}", "DB201"),
     "a parenthesis left out puts two comparisons in a row": ("line_follower", "2 * width) > 1 s", "2 * width > 1 s", "DB401"),
 }  # fmt: skip
 

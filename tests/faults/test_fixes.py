@@ -58,7 +58,7 @@ def test_the_fix_of_a_typo_gives_back_what_was_there(project: Project) -> None:
     assert len(unfixed) < len(typos) / 120, [(case.source, case.kind, case.at) for case in unfixed]
 
 
-def test_a_misspelt_name_in_quotes_is_put_right_between_them(project: Project) -> None:
+def test_a_misspelled_name_in_quotes_is_put_right_between_them(project: Project) -> None:
     typos = [case for case in everything() if case.kind == "typo in a joint or link" and case.style in ("single-quoted", "double-quoted")]
     for case in typos[::3]:
         (found,) = project.errors(case)

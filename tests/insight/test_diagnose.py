@@ -72,8 +72,8 @@ def test_logs_alone_tell_some_causes(short):
     assert _causes(_logs(short, -30 + noise, 30 - noise))[0] == "ending_early_pays"
     assert _causes(_logs(short, np.full(50, 3.0)))[0] == "ending_at_once"
     assert _causes(_logs(short, 30 + np.arange(200) / 4 + noise))[0] == "too_few_steps"
-    levelled = diagnose(_logs(short, 100 - 70 * np.exp(-np.arange(200) / 40) + noise))
-    assert not any("still learns" in cause.text for cause in levelled)
+    leveled = diagnose(_logs(short, 100 - 70 * np.exp(-np.arange(200) / 40) + noise))
+    assert not any("still learns" in cause.text for cause in leveled)
     # 1 % of the planned timesteps: later episodes may end in other ways, or succeed
     assert [cause.text.partition(".")[0] for cause in diagnose(_logs(short, 30 + noise))] == ["The training is short"]
     assert "exploration_collapsed" in _causes(_logs(short, 30 + noise, train__entropy_loss=[-0.6] * 4 + [-0.001] * 10))

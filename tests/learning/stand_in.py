@@ -48,7 +48,7 @@ observation:
   speed: {{range: -{speed_range} .. {speed_range} m/s}}
   cart.pole_angle: -0.35 .. 0.35 rad
   tip_speed: -2 .. 2 m/s
-reward: {{alive: 1, centre: 0}}
+reward: {{alive: 1, center: 0}}
 termination: {{failure: {{fallen: abs(cart.pole_angle) > 15 deg, off_track: abs(x) > 0.39 m}}{success}}}
 truncation: {{max_steps: {max_steps}}}
 evaluation: {{episodes: 20{cases}}}
@@ -151,7 +151,7 @@ class CartPole(gym.Env[Any, Any]):
         return np.clip(np.array(raw, np.float32), -1, 1)
 
     def _info(self, ended_by: str | None) -> dict[str, Any]:
-        return {"is_success": ended_by == "max_steps", "ended_by": ended_by, "reward_terms": {"alive": 1.0, "centre": 0.0}}
+        return {"is_success": ended_by == "max_steps", "ended_by": ended_by, "reward_terms": {"alive": 1.0, "center": 0.0}}
 
     def render(self) -> Any:
         picture = np.zeros((62, 98, 3), np.uint8)
@@ -173,7 +173,7 @@ class Failing(CartPole):
         observation, _, terminated, truncated, info = super().step(action)
         if self.steps < 5:
             return observation, 1.0, terminated, truncated, info
-        return observation, math.nan, terminated, truncated, {**info, "reward_terms": {"alive": 1.0, "centre": math.nan}}
+        return observation, math.nan, terminated, truncated, {**info, "reward_terms": {"alive": 1.0, "center": math.nan}}
 
 
 def altered(base: api.Compiled, policy: Mapping[str, Any] | None = None, **changes: Any) -> api.Compiled:

@@ -107,7 +107,7 @@ def test_a_training_stops_when_worlds_of_a_batch_are_lost_again_and_again(tmp_pa
 
 
 def test_a_reward_that_is_not_finite_names_its_term(tmp_path: Path) -> None:
-    with pytest.raises(DeepbotsError, match=r"episode 1 \(seed \d+\), step 5: the reward term 'centre' is not finite"):
+    with pytest.raises(DeepbotsError, match=r"episode 1 \(seed \d+\), step 5: the reward term 'center' is not finite"):
         train(stand_in.compiled(), run=tmp_path / "run", build=stand_in.Failing)
 
 
@@ -124,7 +124,7 @@ def test_an_evaluation_names_the_episode_and_its_seed(run_copy: Path) -> None:
         def step(self, action: Any) -> Any:
             return super().step(action) if self.episodes > 1 else stand_in.CartPole.step(self, action)
 
-    with pytest.raises(DeepbotsError, match=r"episode 2 \(seed \d+\), step 5: .*'centre'"):
+    with pytest.raises(DeepbotsError, match=r"episode 2 \(seed \d+\), step 5: .*'center'"):
         evaluate(run_copy, episodes=2, copies=1, build=Late)
     assert (run_copy / "failures" / "0001.json").exists()
 

@@ -213,14 +213,14 @@ def test_a_checkpoint_of_another_network_is_refused(run_copy: Path) -> None:
 
 
 @pytest.mark.parametrize("moment", ["step", "exp_avg", "exp_avg_sq"])
-def test_a_checkpoint_whose_optimiser_lacks_a_tensor_is_refused(run_copy: Path, moment: str) -> None:
+def test_a_checkpoint_whose_optimizer_lacks_a_tensor_is_refused(run_copy: Path, moment: str) -> None:
     (path,) = (run_copy / "checkpoints").glob("0*/model.zip")
     changed(path, "policy.optimizer", lambda state: state["state"][2].pop(moment))
     with pytest.raises(RunError, match=f"lacks 'policy.optimizer/2/{moment}'"):
         resume(run_copy, total_timesteps=3_000, build=stand_in.build)
 
 
-def test_an_optimiser_that_counts_below_zero_is_refused(run_copy: Path) -> None:
+def test_an_optimizer_that_counts_below_zero_is_refused(run_copy: Path) -> None:
     (path,) = (run_copy / "checkpoints").glob("0*/model.zip")
     changed(path, "policy.optimizer", lambda state: state["state"][0].update(step=torch.tensor(-1.0)))
     with pytest.raises(RunError, match=r"'policy\.optimizer/0/step' counts below zero"):

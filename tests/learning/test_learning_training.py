@@ -93,7 +93,7 @@ def test_tensorboard_shows_returns_terms_and_simulated_time(trained: TrainingRes
     events = EventAccumulator(str(trained.run / "tensorboard"))
     events.Reload()
     tags = set(events.Tags()["scalars"])
-    assert {"rollout/ep_rew_mean", "rollout/simulated_hours", "reward/alive", "reward/centre", "time/fps", "time/real_time_factor"} <= tags
+    assert {"rollout/ep_rew_mean", "rollout/simulated_hours", "reward/alive", "reward/center", "time/fps", "time/real_time_factor"} <= tags
     assert {"action/probability", "action/forward", "action/backward", "saturation/x", "saturation/cart.pole_angle"} <= tags
     assert events.Scalars("action/forward")[0].value + events.Scalars("action/backward")[0].value == pytest.approx(1.0)
     assert 0.0 <= events.Scalars("saturation/x")[0].value <= 1.0
@@ -145,7 +145,7 @@ def test_train_and_resume_take_paths_as_text(tmp_path: Path) -> None:
     assert resume(str(first.run), total_timesteps=first.steps + 1, build=stand_in.build).run == first.run
 
 
-def test_resuming_takes_up_networks_and_optimiser(run_copy: Path, trained: TrainingResult) -> None:
+def test_resuming_takes_up_networks_and_optimizer(run_copy: Path, trained: TrainingResult) -> None:
     def stop(program: Any, *, render_mode: str | None = None) -> Any:
         raise DeepbotsError("no world today")
 
@@ -265,7 +265,7 @@ def test_a_training_that_diverges_says_so_and_keeps_the_last_good_model(tmp_path
 
 
 def test_a_reward_that_is_no_number_ends_the_training_with_its_term(tmp_path: Path) -> None:
-    with pytest.raises(DeepbotsError, match="centre"):
+    with pytest.raises(DeepbotsError, match="center"):
         short(tmp_path, build=lambda program, render_mode=None: stand_in.Failing(program, render_mode))
     run = next(tmp_path.iterdir())
     assert json.loads((run / "run.json").read_text())["status"] == "failed"

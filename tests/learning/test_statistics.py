@@ -62,9 +62,9 @@ def test_an_interval_of_a_mean_is_cut_at_the_bounds_of_its_values():
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40), st.floats(-100, 100))
 def test_the_interquartile_mean_moves_with_its_values_and_ignores_their_order(values, shift):
-    centre = stats.interquartile_mean(values)
-    assert min(values) - 1e-6 <= centre <= max(values) + 1e-6
-    assert stats.interquartile_mean([value + shift for value in reversed(values)]) == pytest.approx(centre + shift, abs=1e-6)
+    center = stats.interquartile_mean(values)
+    assert min(values) - 1e-6 <= center <= max(values) + 1e-6
+    assert stats.interquartile_mean([value + shift for value in reversed(values)]) == pytest.approx(center + shift, abs=1e-6)
 
 
 @given(st.integers(1, 300), st.data())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from deepbots_cli.lsp.completion import completion
-from deepbots_cli.lsp.workspace import Document, Workspace, analyse, uri_of
+from deepbots_cli.lsp.workspace import Document, Workspace, analyze, uri_of
 from tests.lsp.client import edited
 
 
@@ -277,7 +277,7 @@ def test_names_written_since_the_last_analysis_are_offered_where_they_have_a_val
     workspace = Workspace()
     known = Document(uri_of(path), 1, WHOLE, path)
     workspace.put(known)
-    workspace.record(analyse(known, workspace.drafts))
+    workspace.record(analyze(known, workspace.drafts))
     text = WHOLE
     for old, new in changes:
         assert text.count(old) == 1
@@ -289,7 +289,7 @@ def test_names_written_since_the_last_analysis_are_offered_where_they_have_a_val
     assert before.is_incomplete  # so that an editor asks again at the next letter
     assert offered <= labels(before)
     assert not labels(before) & not_offered
-    workspace.record(analyse(written, workspace.drafts))
+    workspace.record(analyze(written, workspace.drafts))
     after = completion(workspace.view(known.uri, position))
     assert not after.is_incomplete
     assert offered <= labels(after)

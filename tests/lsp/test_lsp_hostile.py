@@ -18,7 +18,7 @@ from deepbots_cli.errors import install_hint
 from deepbots_cli.lsp.completion import completion
 from deepbots_cli.lsp.lookup import definitions, document_symbols, hover
 from deepbots_cli.lsp.server import CodeActions, diagnostics, formatting
-from deepbots_cli.lsp.workspace import Document, Workspace, analyse, uri_of
+from deepbots_cli.lsp.workspace import Document, Workspace, analyze, uri_of
 from tests.benchmarks.lsp_cost import heavy_imports
 from tests.few import few
 from tests.lsp.client import Client, position
@@ -47,12 +47,12 @@ def test_a_scenario_cut_off_anywhere_is_answered_for(path):
     text, uri, workspace = path.read_text(encoding="utf-8"), uri_of(path), Workspace()
     whole = Document(uri, 1, text, path)
     workspace.put(whole)
-    workspace.record(analyse(whole, workspace.drafts))
+    workspace.record(analyze(whole, workspace.drafts))
     for version, end in enumerate(range(0, len(text), STEP), 2):
         document = Document(uri, version, text[:end], path)
         workspace.put(document)
         if version % 10 == 0:
-            diagnostics(analysis := analyse(document, workspace.drafts), workspace.open_uris)
+            diagnostics(analysis := analyze(document, workspace.drafts), workspace.open_uris)
             workspace.record(analysis)
             formatting(document)
             document_symbols(document)
@@ -71,7 +71,7 @@ def test_a_scenario_with_random_slips_is_answered_for(seed):
             document = Document(uri, version, "".join(slips), path)
             workspace.put(document)
             if version % 3 == 1:
-                workspace.record(analyse(document, workspace.drafts))
+                workspace.record(analyze(document, workspace.drafts))
             for _ in range(8):
                 answer_all(workspace, document, document.lines.position(drawn.randrange(len(slips))))
 

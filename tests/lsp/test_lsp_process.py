@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from deepbots_cli.lsp.server import Checker, Server
-from deepbots_cli.lsp.workspace import Document, DocumentAnalysis, Workspace, analyse, path_of
+from deepbots_cli.lsp.workspace import Document, DocumentAnalysis, Workspace, analyze, path_of
 from tests.fuzz.mutations import SEEDS
 from tests.lsp.client import Client
 
@@ -132,7 +132,7 @@ def test_what_is_written_in_is_looked_at_before_what_waits_already():
 
     def noted(document: Document, drafts: Any) -> DocumentAnalysis:
         looked.append(document.uri)
-        return analyse(document, drafts)
+        return analyze(document, drafts)
 
     async def work() -> None:
         done = asyncio.Event()

@@ -3,7 +3,7 @@
     python -m tests.oracle record DIR [--source PATH] [--inputs PATH] [--only motion|findings]
     python -m tests.oracle compare DIR_A DIR_B
 
-A change that must not change behaviour is recorded before and after, with the same inputs:
+A change that must not change behavior is recorded before and after, with the same inputs:
 
     python -m tests.oracle record build/oracle/before
     (change the package)

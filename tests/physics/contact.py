@@ -66,11 +66,11 @@ def rolling() -> Iterator[Row]:
 def wheels() -> Iterator[Row]:
     """The shipped rover drives at radius times rate, and turns at the difference of its wheels over its track.
 
-    A tyre of 2 cm may grip anywhere across its width. Where both grip on their outer edge of the turn, the turning rate is
+    A tire of 2 cm may grip anywhere across its width. Where both grip on their outer edge of the turn, the turning rate is
     the same and the middle of the axle faster or slower by that rate times 1 cm, which is 3.7 % in this arc.
     """
     track, radius, right = 0.136, 0.04, 5.0
-    for what, left, bar in (("straight on", 5.0, 0.1), ("in an arc (tyres 2 cm wide grip anywhere)", 3.0, 4.0)):
+    for what, left, bar in (("straight on", 5.0, 0.1), ("in an arc (tires 2 cm wide grip anywhere)", 3.0, 4.0)):
         robot = (
             "urdf: rover, sensors: {pace: {type: velocity, link: base_link}, gyro: {type: gyro, link: base_link}}, emit: [pace, gyro],"
             " actuators: {left: {type: velocity_motor, joint: left_wheel, max_torque: 1 N*m},"

@@ -82,7 +82,7 @@ def inclination() -> Iterator[Row]:
 
 
 def rays() -> Iterator[Row]:
-    """Fans of rays to a wall 1 m away and to a ball of 0.3 m whose centre is 1 m away, from a base and from a link that turns."""
+    """Fans of rays to a wall 1 m away and to a ball of 0.3 m whose center is 1 m away, from a base and from a link that turns."""
     wall = "wall: {shape: box, size: 0.2 20 2 m, fixed: true, pose: {x: 1.1 m, z: 0.5 m}}"
     ball = "ball: {shape: sphere, radius: 30 cm, fixed: true, pose: {x: 1 m, z: 0.5 m}}"
     angles = np.radians(np.linspace(15, -15, 7))

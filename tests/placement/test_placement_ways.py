@@ -45,7 +45,7 @@ def around(start: tuple[float, float], end: tuple[float, float], corner: tuple[f
 
 
 @pytest.mark.parametrize("size", [1e3, 1e5])
-def test_lengths_in_a_world_of_kilometres_are_finite(size: float) -> None:
+def test_lengths_in_a_world_of_kilometers_are_finite(size: float) -> None:
     field = DistanceField((-size, -size, size, size), RADIUS, [], (0.0, 0.0), 0.05)
     assert field.length(0.6 * size, 0.0) == pytest.approx(0.6 * size, rel=0.02)
 

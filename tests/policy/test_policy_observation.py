@@ -149,7 +149,7 @@ def test_noise_on_one_value_changes_no_other_draw(small: Small) -> None:
 
 
 def measured(small: Small, noise: str, count: int = 1000, seed: int = 1) -> Any:
-    """Half a metre that the supervisor measures with noise, twice that, and the exact value by its function; once per step."""
+    """Half a meter that the supervisor measures with noise, twice that, and the exact value by its function; once per step."""
     sections = f"augment:\n  at: {{value: 0.5 m + 0 m * step, noise: {noise}}}\n  twice: 2 * at\nreward: {{pay: at / m}}\n"
     environment = small(sections, "observation={at: {range: -1 .. 1 m, clip: false}, twice: {range: -1 .. 1 m, clip: false}}")
     rows = [[*environment.reset(seed=seed)[0].tolist(), 0.0]]

@@ -304,7 +304,7 @@ class Bar:
 
 @dataclass(frozen=True)
 class Mark:
-    """A labelled line in the picture of the learning curves: level at a `value`, or upright at a number of simulated `hours`."""
+    """A labeled line in the picture of the learning curves: level at a `value`, or upright at a number of simulated `hours`."""
 
     words: str
     value: float | None = None

@@ -36,7 +36,7 @@ page from the records in `docs/results`; no figure in a table is typed by hand, 
 Simulated hours are the steps of all copies of the environment times the timestep. A seed is solved when the mean over so many
 consecutive episodes, in order of completion, first reaches what the scenario asks for. CPU times are those of all processes of a
 training, from the start to the end of the evaluation that `deepbots train` makes; they vary with the machine by a tenth or two, and by
-more beside busy neighbours, while ratios and simulated hours do not. A training that was stopped and resumed, which its row says,
+more beside busy neighbors, while ratios and simulated hours do not. A training that was stopped and resumed, which its row says,
 began new episodes then: its command in one go gives other figures, as another seed would. The seeds shown, 101 and above, were not used to
 choose any figure of a scenario; where earlier ones missed a bar and led to a change, the section says what they had. Held-out
 episodes start from seeds that no training uses. Intervals are of 95 %: Wilson's for a share,

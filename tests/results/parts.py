@@ -56,7 +56,7 @@ quicker; the file says by how much. "A plain environment by hand" is one class a
 (`tests/benchmarks/plain_cost.py`); docs/engines.md says what makes the difference. Each sensor is timed by itself, on a rover that
 drives in an arena, and has no bar. Answers of the language server are timed over its standard streams at random places, a quarter of
 them right after a change of the text. Linting is timed as installed, with modules compiled before. Times depend on the machine: a busy
-neighbour adds a tenth to a quarter. Beside such, the quadruped has come out at 1.12 to 1.23 and FindBallRandom at 1.28 to 1.36;
+neighbor adds a tenth to a quarter. Beside such, the quadruped has come out at 1.12 to 1.23 and FindBallRandom at 1.28 to 1.36;
 FindBallRandom works out what it remembers of the way in every step.""",
     tables=tuple(map(Benchmark, ("step_cost", "plain_cost", "sensor_cost", "compile_cost", "lint_cost", "lsp_cost"))),
 )
@@ -65,7 +65,7 @@ PHYSICS = Part(
     title="Physics against closed forms",
     prose="""\
 Each experiment is a scenario, from its text to what the policy sees, on PyBullet (`tests/physics`). Errors above one percent
-have these reasons. A tyre of 2 cm grips anywhere across its width, so that in an arc the middle of the axle may be faster or
+have these reasons. A tire of 2 cm grips anywhere across its width, so that in an arc the middle of the axle may be faster or
 slower by 1 cm times the turning rate, which is 3.7 % here. A drum sinks into the ground by what the solver leaves of an overlap, and
 rolls on less than its radius. A bounce begins after the surfaces met, and leaves a little more speed than stated. Smaller physics
 steps mend both.""",

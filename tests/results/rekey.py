@@ -23,7 +23,7 @@ from tests.results.experiment import Experiment, experiments
 from tests.results.measure import Places, compiled, pieces, put, read
 
 
-def behaviour(experiment: Experiment) -> str:
+def behavior(experiment: Experiment) -> str:
     """SHA-256 of the code and of two random episodes of what is trained and evaluated, with all cases and stages."""
     asked = [(experiment.scenario, ()), *((experiment.scenario, training.sets) for training in experiment.trainings)]
     asked += [(wanted.scenario, ()) for training in experiment.trainings for wanted in training.evaluations if wanted.scenario]
@@ -39,7 +39,7 @@ def behaviour(experiment: Experiment) -> str:
 
 def rewrite(name: str, old: Any, new: Any) -> None:
     path = Places().record(name)
-    if old["behaviour"] != new["behaviour"]:
+    if old["behavior"] != new["behavior"]:
         print(f"{name}: its code or its motion differs")
         return
     for place, asked in new["pieces"].items():
@@ -52,7 +52,7 @@ def rewrite(name: str, old: Any, new: Any) -> None:
 
 if __name__ == "__main__":
     known = {
-        name: {"behaviour": behaviour(each), "pieces": {"/".join(piece.keys): list(piece.asked()) for piece in pieces(each, Places())}}
+        name: {"behavior": behavior(each), "pieces": {"/".join(piece.keys): list(piece.asked()) for piece in pieces(each, Places())}}
         for name, each in experiments().items()
     }
     if sys.argv[1:]:

@@ -29,7 +29,7 @@ def model_of(name: str) -> RobotModel:
 
 
 @pytest.mark.parametrize("name", shipped.robot_names())
-def test_another_reader_finds_the_same_joints_in_the_normalised_file(yourdfpy: Any, name: str, tmp_path: Path) -> None:
+def test_another_reader_finds_the_same_joints_in_the_normalized_file(yourdfpy: Any, name: str, tmp_path: Path) -> None:
     model = model_of(name)
     file = tmp_path / "robot.urdf"
     file.write_text(to_urdf(model), encoding="utf-8")
@@ -52,5 +52,5 @@ def test_the_tip_of_the_leaning_pole_is_where_another_reader_has_it(yourdfpy: An
     angle = 0.3
     other.update_cfg({"pole_hinge": angle})
     tip = other.get_transform("tip", model.root)[:3, 3]
-    # The hinge is 0.03 m above the body's centre; a pole that leans to +x has a positive angle.
+    # The hinge is 0.03 m above the body's center; a pole that leans to +x has a positive angle.
     np.testing.assert_allclose(tip, [np.sin(angle), 0.0, 0.03 + np.cos(angle)], atol=1e-12)

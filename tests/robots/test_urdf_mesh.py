@@ -58,7 +58,7 @@ def test_a_mesh_is_checked_once_until_its_content_changes(tmp_path: Path, monkey
     assert said[2] == said[3] != []
 
 
-def test_the_normalised_robot_finds_its_meshes_from_anywhere(tmp_path: Path):
+def test_the_normalized_robot_finds_its_meshes_from_anywhere(tmp_path: Path):
     (tmp_path / "m.obj").write_bytes(TETRAHEDRON)
     robot, _ = robot_with(tmp_path, "m.obj")
     (tmp_path / "elsewhere").mkdir()

@@ -255,7 +255,7 @@ def test_what_belongs_to_other_tools_is_passed_over(read_text):
     assert findings == []
 
 
-def test_misspelt_elements_and_attributes_are_warned_about(read_text):
+def test_misspelled_elements_and_attributes_are_warned_about(read_text):
     finding = warning(
         read_text, broken('<contact><lateral_friction value="0.7"/></contact>', '<contact><lateral_fricton value="0.7"/></contact>')
     )

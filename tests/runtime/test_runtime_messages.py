@@ -73,7 +73,7 @@ def test_a_message_without_fields_still_says_whose_it_is(format: str) -> None:
 
 
 @every_format
-def test_a_message_of_another_robot_is_recognised(format: str) -> None:
+def test_a_message_of_another_robot_is_recognized(format: str) -> None:
     foreign = codec(OTHER, format).encode(*VALUES)
     assert reading(codec(LAYOUT, format), LAYOUT, foreign) is None
     assert "a foreign message" in str(layout_error(LAYOUT, format, foreign, 3))

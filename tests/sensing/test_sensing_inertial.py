@@ -39,8 +39,8 @@ def test_in_free_fall_it_feels_nothing_even_while_tumbling(scene: Build) -> None
     assert accelerometer.reading == pytest.approx((0, 0, 0), abs=1e-6)
 
 
-def test_off_the_centre_of_a_tumbling_body_it_feels_the_turning(scene: Build) -> None:
-    """A cube turns steadily about any axis: at r from the centre the acceleration is w x (w x r)."""
+def test_off_the_center_of_a_tumbling_body_it_feels_the_turning(scene: Build) -> None:
+    """A cube turns steadily about any axis: at r from the center the acceleration is w x (w x r)."""
     world = scene(brick(), pose=Pose((0, 0, 50)), substeps=16)
     accelerometer = world.sensor(on("accelerometer", "brick", mount=Pose((0.1, 0, 0))))
     world.engine.reset()
@@ -107,7 +107,7 @@ def test_a_knock_within_a_tick_is_felt_however_seldom_the_sensor_is_read(scene: 
     assert accelerometer.reading == pytest.approx((0, 0, 0))
 
 
-def test_a_sensor_that_is_seldom_read_feels_the_centre_of_its_circle_along_its_own_axes(scene: Build) -> None:
+def test_a_sensor_that_is_seldom_read_feels_the_center_of_its_circle_along_its_own_axes(scene: Build) -> None:
     """Between two readings the arm turns by 4 rad, through which the axes are followed tick by tick."""
     world = scene(arm(), fixed=True)
     accelerometer = world.sensor(on("accelerometer", "arm", mount=Pose((0.5, 0, 0)), faults=NoiseModel(period=50)))

@@ -37,14 +37,14 @@ truncation: {max_steps: 1000}
 reset: {joints: {cart.slider: uniform(-0.2 .. 0.2 m)}}
 """
 Make = Callable[[str, str], Supervisor]
-METRE = "-1 .. 1 m"
+METER = "-1 .. 1 m"
 
 
 @pytest.fixture
 def make() -> Iterator[Make]:
     with ExitStack() as opened:
 
-        def build(sensor: str, range: str = METRE) -> Supervisor:
+        def build(sensor: str, range: str = METER) -> Supervisor:
             checked = check(loads(TEXT % (sensor, range), base=Path.cwd()))
             assert checked.program is not None, [finding.headline for finding in checked.findings]
             return opened.enter_context(closing(api.build(checked.program, engine="exact")))
@@ -101,7 +101,7 @@ def test_drift_grows_with_the_time_since_the_reset(make: Make) -> None:
     assert rows[:, 1] - rows[:, 0] == pytest.approx(0.5 * 0.02 * np.arange(51), abs=1e-6)
 
 
-def test_quantise_and_range_shape_what_the_policy_sees(make: Make) -> None:
+def test_quantize_and_range_shape_what_the_policy_sees(make: Make) -> None:
     rows = seen(make("{type: joint_position, joint: slider, resolution: 5 cm, range: -10 .. 10 cm}"), 40)
     assert rows[:, 1] == pytest.approx(np.clip(np.round(np.clip(rows[:, 0], -0.1, 0.1) / 0.05) * 0.05, -0.1, 0.1), abs=1e-6)
     assert np.ptp(rows[:, 0]) > 0.3

@@ -70,7 +70,7 @@ def test_lanes_beside_each_other_are_told_apart() -> None:
     for step in range(101):
         beside, _ = follow((step / 100, 0.02))
     assert beside == pytest.approx(0.02)
-    beside, _ = follow((1.01, 0.03))  # nearer to the way back, which is two metres on
+    beside, _ = follow((1.01, 0.03))  # nearer to the way back, which is two meters on
     assert beside == pytest.approx(0.03)
 
 

@@ -54,7 +54,7 @@ def command(
     """Explain a finding, a word of the language, or a term.
 
     Words of the language are keys, functions, units, and kinds of sensors, actuators, objects and algorithms. The
-    glossary has terms of reinforcement learning, such as HER, domain randomisation or time limit. Without a word, the command lists all
+    glossary has terms of reinforcement learning, such as HER, domain randomization or time limit. Without a word, the command lists all
     findings.
 
     \b
@@ -64,13 +64,13 @@ def command(
       deepbots explain clearance
       deepbots explain gyro
       deepbots explain HER
-      deepbots explain domain-randomisation
+      deepbots explain domain-randomization
       deepbots explain
     """
     found = matching_rules(finding)
     if not found:
         lines = explain_word(finding)
-        if not lines and not _FINDING.match(finding) and (meant := misspelt_word(finding)):
+        if not lines and not _FINDING.match(finding) and (meant := misspelled_word(finding)):
             terminal.note(f"there is no entry '{finding}'; this is the entry '{meant}'\n")
             lines = explain_word(meant)
         if not lines:
@@ -178,19 +178,19 @@ def explain_word(word: str) -> list[str]:
     word of exactly this spelling. The last line lists other entries that contain the word.
     """
     plain = _plain(word)
-    spelt = word if word in _words() else next((other for other in _words() if _plain(other) == plain), word)
-    blocks = _blocks(spelt)
+    spelled = word if word in _words() else next((other for other in _words() if _plain(other) == plain), word)
+    blocks = _blocks(spelled)
     found = [topic for topic in topics() if plain == _plain(topic.name)]
     if not found and word not in _words():
         found = [topic for topic in topics() if plain in map(_plain, topic.names)]
     blocks = [*map(_of_topic, found), *blocks]
-    others = _others(word, {topic.name for topic in found} | {spelt}) if word.strip() else []
+    others = _others(word, {topic.name for topic in found} | {spelled}) if word.strip() else []
     if blocks and others:
         blocks.append([f"See also: {', '.join(others)}"])
     return [line for number, block in enumerate(blocks) for line in ([""] if number else []) + block]
 
 
-def misspelt_word(word: str) -> str | None:
+def misspelled_word(word: str) -> str | None:
     """The concept or word of the language that differs from `word` by one letter, such as `curiculum`; None if there is none."""
     concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
     return next((name for name in (*concepts, *_words()) if is_typo(_plain(word), _plain(name))), None)

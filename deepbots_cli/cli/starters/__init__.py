@@ -297,10 +297,10 @@ def _drive_wheels(draft: Draft, commands: Mapping[str, str], otherwise: str) -> 
     build = draft.build
     everything = draft.group("wheels", [wheel.joint for wheel in build.wheels])
     left = frames.cross((0.0, 0.0, 1.0), build.forward)
-    middle = sum(frames.dot(wheel.centre, left) for wheel in build.wheels) / len(build.wheels)
+    middle = sum(frames.dot(wheel.center, left) for wheel in build.wheels) / len(build.wheels)
     sides: dict[tuple[str, bool], list[Wheel]] = {}
     for wheel in build.wheels:
-        offset = frames.dot(wheel.centre, left) - middle
+        offset = frames.dot(wheel.center, left) - middle
         side = "middle" if abs(offset) < 0.1 * wheel.radius else "left" if offset > 0 else "right"
         side = side if commands and not build.steering else "driven"
         sides.setdefault((side, frames.dot(wheel.axle, left) < 0), []).append(wheel)
@@ -424,7 +424,7 @@ def by_unit(joints: Sequence[Joint]) -> list[tuple[str, str, list[Joint]]]:
 
 
 def _rounded(joint: Joint, value: float) -> float:
-    """Whole degrees or millimetres within the limits of the joint; the middle of limits that are closer than that."""
+    """Whole degrees or millimeters within the limits of the joint; the middle of limits that are closer than that."""
     step = 1e-3 if joint.type == "prismatic" else radians(1.0)
     low, high = joint.limit.lower, joint.limit.upper
     rounded = round(value / step) * step

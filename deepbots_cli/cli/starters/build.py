@@ -37,7 +37,7 @@ class Wheel:
     joint: Joint
     radius: float
     axle: Triple
-    centre: Triple
+    center: Triple
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Limb:
 
 
 def range_of(joint: Joint) -> tuple[float, float]:
-    """The limits of a joint; of one without limits half a turn, or a metre, either way."""
+    """The limits of a joint; of one without limits half a turn, or a meter, either way."""
     lower, upper = joint.limit.lower, joint.limit.upper
     if joint.type == "continuous" or lower is None or upper is None:
         return (-1.0, 1.0) if joint.type == "prismatic" else (-pi, pi)
@@ -201,9 +201,9 @@ class Build:
     def poles(self) -> list[Joint]:
         """Level hinges without a motor below the mass that they carry, such as the hinge of a pole on a cart."""
         level = [joint for joint in self.idle if joint.type != "prismatic" and abs(self.axis(joint)[2]) < _MAX_LEVEL_Z]
-        return [joint for joint in level if self._centre_of_mass(joint.child)[2] > self.frames[joint.child][0][2]]
+        return [joint for joint in level if self._center_of_mass(joint.child)[2] > self.frames[joint.child][0][2]]
 
-    def _centre_of_mass(self, link: str) -> Triple:
+    def _center_of_mass(self, link: str) -> Triple:
         inertial, (origin, turn) = self.model.link(link).inertial, self.frames[link]
         return frames.add(origin, frames.rotate(turn, inertial.origin.xyz)) if inertial else origin
 
@@ -224,15 +224,15 @@ class Build:
         if not boxes:
             return None
         (low_x, low_y, low_z), (high_x, high_y, high_z) = box_around(boxes)
-        centre = self.frames[joint.child][0]
-        radius = centre[2] - low_z
-        if radius <= 0.0 or abs(high_z - centre[2] - radius) > _WHEEL_TOLERANCE * radius or low_z - self.lowest > _WHEEL_TOLERANCE * radius:
+        center = self.frames[joint.child][0]
+        radius = center[2] - low_z
+        if radius <= 0.0 or abs(high_z - center[2] - radius) > _WHEEL_TOLERANCE * radius or low_z - self.lowest > _WHEEL_TOLERANCE * radius:
             return None
         across = high_x - low_x if abs(axle[1]) > abs(axle[0]) else high_y - low_y
         if abs(across - 2.0 * radius) >= 4.0 * _WHEEL_TOLERANCE * radius:
             return None
         length = hypot(axle[0], axle[1])
-        return Wheel(joint, radius, (axle[0] / length, axle[1] / length, 0.0), centre)
+        return Wheel(joint, radius, (axle[0] / length, axle[1] / length, 0.0), center)
 
     @property
     def forward(self) -> Triple:

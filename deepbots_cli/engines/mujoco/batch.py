@@ -468,7 +468,7 @@ class MuJoCoBatch:
         root = int(self.nominal.body_rootid[number])
 
         def read() -> Any:
-            """Of the link's origin, from the velocity of the body at the centre of mass of its tree, as `mj_objectVelocity` does."""
+            """Of the link's origin, from the velocity of the body at the center of mass of its tree, as `mj_objectVelocity` does."""
             spatial = self._observed("cvel", number)
             apart = self._observed("xpos", number) - self._observed("subtree_com", root)
             angular = tuple(spatial[:3])
@@ -669,15 +669,15 @@ class Pushes:
         self.waits[world], self.links[world] = True, link
         self._values[world] += (*force, *torque)
 
-    def take(self, worlds: Column, turned: Column, centre: Column) -> Column:
-        """Force and torque at the centre of mass in the axes of the world, a row per world."""
+    def take(self, worlds: Column, turned: Column, center: Column) -> Column:
+        """Force and torque at the center of mass in the axes of the world, a row per world."""
         values, turn = self._values[worlds].T, tuple(turned)
         self.waits[worlds], self._values[worlds] = False, 0.0
         force, torque = tuple(values[:3]), tuple(values[3:])
         if self._frame == "link":
             force, torque = frames.rotate(turn, force), frames.rotate(turn, torque)
-        if centre.any():
-            torque = frames.add(torque, frames.cross(force, frames.rotate(turn, tuple(centre))))
+        if center.any():
+            torque = frames.add(torque, frames.cross(force, frames.rotate(turn, tuple(center))))
         return np.array((*force, *torque)).T
 
 

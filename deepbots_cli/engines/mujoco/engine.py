@@ -136,7 +136,7 @@ class MuJoCoEngine:
     ) -> None:
         data, placed = self._world.data, self._pool(body).activate()
         self._world.show(placed)
-        turned = x, y, z, w = frames.normalised(orientation)
+        turned = x, y, z, w = frames.normalized(orientation)
         if placed.mocap_index >= 0:
             data.mocap_pos[placed.mocap_index], data.mocap_quat[placed.mocap_index] = position, (w, x, y, z)
         elif placed.position_index >= 0:
@@ -248,14 +248,14 @@ class MuJoCoEngine:
                 return (vx, vy, vz), frames.rotate((x, y, z, w), (wx, wy, wz))
 
             return read_free
-        # Of the centre of mass of the tree that the link belongs to; `mj_objectVelocity` takes it from there too, at three times the cost.
-        of_centre, centre, place = data.cvel[link], data.subtree_com[model.body_rootid[link]], data.xpos[link]
+        # Of the center of mass of the tree that the link belongs to; `mj_objectVelocity` takes it from there too, at three times the cost.
+        of_center, center, place = data.cvel[link], data.subtree_com[model.body_rootid[link]], data.xpos[link]
 
         def read() -> tuple[Triple, Triple]:
             if not world.has_velocities:
                 world.update_velocities()
-            wx, wy, wz, vx, vy, vz = of_centre.tolist()
-            (px, py, pz), (cx, cy, cz) = place.tolist(), centre.tolist()
+            wx, wy, wz, vx, vy, vz = of_center.tolist()
+            (px, py, pz), (cx, cy, cz) = place.tolist(), center.tolist()
             px, py, pz = px - cx, py - cy, pz - cz
             return (vx + wy * pz - wz * py, vy + wz * px - wx * pz, vz + wx * py - wy * px), (wx, wy, wz)
 

@@ -51,8 +51,8 @@ GEAR_STEPS, GEAR_IMPEDANCE = 2.0, (0.9999, 0.9999, *CONTACT_IMPEDANCE[2:])
 
 A driven pair is off by 2 um, and one that is pushed into a limit by 6 um (steps of 5 ms, 0.1 kg, 20 N).
 """
-TYRE_IMPEDANCE = (2 * 0.9 / (1 + 0.9), 2 * 0.95 / (1 + 0.95), *CONTACT_IMPEDANCE[2:])
-"""A tyre touches in one point where a cylinder touches in two: it gives way half as much as one of them, and sinks as deep as both.
+TIRE_IMPEDANCE = (2 * 0.9 / (1 + 0.9), 2 * 0.95 / (1 + 0.95), *CONTACT_IMPEDANCE[2:])
+"""A tire touches in one point where a cylinder touches in two: it gives way half as much as one of them, and sinks as deep as both.
 
 A contact gives way by (1 - impedance) / impedance.
 """
@@ -115,7 +115,7 @@ class ModelBuilder:
         self._made: list[tuple[Body, dict[str, MjObject], dict[str, MjObject], dict[str, list[MjObject]]]] = []
         self._flat = world.terrain is None and world.ground is not None and not for_rendering
         self._wheels: set[str] = set()
-        self._tyres: set[str] = set()
+        self._tires: set[str] = set()
         self._elements = self._absent = 0
         self._links: list[tuple[int, str, str]] = []
         """The number of the first element of each link, its body and its name, for errors."""
@@ -220,7 +220,7 @@ class ModelBuilder:
     def _add_light(self) -> None:
         """Daylight, a sky that is brighter at the horizon, and colors that do not depend on from where they are seen."""
         spec = self._spec
-        spec.visual.quality.offsamples = 0  # a pixel is what its centre sees
+        spec.visual.quality.offsamples = 0  # a pixel is what its center sees
         gradient, sky = mj.mjtBuiltin.mjBUILTIN_GRADIENT, mj.mjtTexture.mjTEXTURE_SKYBOX
         spec.add_texture(name="sky", type=sky, builtin=gradient, rgb1=(0.59, 0.73, 0.87), rgb2=(0.93, 0.95, 0.96), width=128, height=768)
         spec.visual.headlight.active = False  # it shines from where the camera was in the picture before
@@ -290,7 +290,7 @@ class ModelBuilder:
             pieces = (link.visuals or link.collisions) if self._for_rendering else link.collisions
             geoms[name] = [self._surface(made, piece, place, pooled) for piece in pieces]
             if self._flat and above is not None:
-                geoms[name] += self._add_tyres(made, link, above, geoms[name])
+                geoms[name] += self._add_tires(made, link, above, geoms[name])
             order += children.get(name, ())
         for follower, mimic in model.followers.items() if not self._for_rendering else ():
             self._follow(joints[follower], joints[mimic.joint], mimic)
@@ -388,21 +388,21 @@ class ModelBuilder:
             case Mesh():
                 return self._geom(made, group, type=kinds.mjGEOM_MESH, meshname=self._mesh(piece.shape), **about)
 
-    def _add_tyres(self, made: MjObject, link: Link, axle: Joint, cylinders: list[MjObject]) -> list[MjObject]:
+    def _add_tires(self, made: MjObject, link: Link, axle: Joint, cylinders: list[MjObject]) -> list[MjObject]:
         """For each wheel of a link, the surface that meets flat ground: an ellipsoid within the wheel, which touches in the middle of it.
 
         A cylinder touches flat ground at both ends of its width, which doubles the constraints and makes a wheel slip in an arc.
         """
-        tyres = []
+        tires = []
         for piece, cylinder in zip(link.collisions, cylinders, strict=True):
             if isinstance(piece.shape, Cylinder) and _is_wheel(piece.shape, frames.frame(piece.origin), axle):
                 radius, half = piece.shape.radius, piece.shape.length / 2
                 kind, size = mj.mjtGeom.mjGEOM_ELLIPSOID, (radius, radius, half)
-                tyre = self._geom(made, HIDDEN_GROUP, type=kind, size=size, pos=cylinder.pos, quat=cylinder.quat)
+                tire = self._geom(made, HIDDEN_GROUP, type=kind, size=size, pos=cylinder.pos, quat=cylinder.quat)
                 self._wheels.add(cylinder.name)
-                self._tyres.add(tyre.name)
-                tyres.append(tyre)
-        return tyres
+                self._tires.add(tire.name)
+                tires.append(tire)
+        return tires
 
     def _mesh(self, mesh: Mesh) -> str:
         """The triangles of a mesh; MuJoCo lets its convex hull collide, as PyBullet does with meshes that move."""
@@ -436,13 +436,13 @@ class ModelBuilder:
                             gap=0.0,
                             solref=self._response,
                             solreffriction=(0.0, 0.0),
-                            solimp=TYRE_IMPEDANCE if self._tyres & {first.name, second.name} else CONTACT_IMPEDANCE,
+                            solimp=TIRE_IMPEDANCE if self._tires & {first.name, second.name} else CONTACT_IMPEDANCE,
                         )
 
     def _meet(self, surface: MjObject, other: MjObject) -> bool:
-        """Whether a surface may touch another: a wheel touches flat ground with its tyre, and anything else with its cylinder."""
+        """Whether a surface may touch another: a wheel touches flat ground with its tire, and anything else with its cylinder."""
         ground = self._flat and other.type == mj.mjtGeom.mjGEOM_PLANE
-        return surface.name not in (self._wheels if ground else self._tyres)
+        return surface.name not in (self._wheels if ground else self._tires)
 
     def _surfaces(self, pool: Pool[Body]) -> Iterator[tuple[MjObject, bool]]:
         """The geoms of a body in all its forms, and whether they never move."""

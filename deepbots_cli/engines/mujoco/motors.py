@@ -213,20 +213,20 @@ def array_reader(array: Any, numbers: Any) -> Callable[[], list[float]]:
 
 
 def pusher(world: MujocoWorld, link: int, frame: Literal["world", "link"]) -> Pusher:
-    """MuJoCo's forces act at the centre of mass, in the axes of the world."""
+    """MuJoCo's forces act at the center of mass, in the axes of the world."""
     model, data = world.model, world.data
     applied, turned = data.xfrc_applied[link], data.xquat[link]
-    centre = tuple(model.body_ipos[link].tolist())
-    centred = centre == ZERO_VECTOR
+    center = tuple(model.body_ipos[link].tolist())
+    centered = center == ZERO_VECTOR
 
     def push(force: Triple, torque: Triple) -> None:
-        if frame == "link" or not centred:
+        if frame == "link" or not centered:
             world.update_positions()
             w, x, y, z = turned.tolist()
             if frame == "link":
                 force, torque = frames.rotate((x, y, z, w), force), frames.rotate((x, y, z, w), torque)
-            if not centred:
-                torque = frames.add(torque, frames.cross(force, frames.rotate((x, y, z, w), centre)))
+            if not centered:
+                torque = frames.add(torque, frames.cross(force, frames.rotate((x, y, z, w), center)))
         applied[:3] += force
         applied[3:] += torque
         world.has_pushes = True

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 MAX_CLEARANCE_M = 1e6  # m; the distance between surfaces is asked for up to here
-ELLIPSOID = int(mj.mjtGeom.mjGEOM_ELLIPSOID)  # the shape of tyres, and of nothing else
+ELLIPSOID = int(mj.mjtGeom.mjGEOM_ELLIPSOID)  # the shape of tires, and of nothing else
 MEETING_TOLERANCE_M = 1e-9  # m; by how much lines that meet in a point may miss it
 
 
@@ -73,7 +73,7 @@ def force(world: MujocoWorld, geoms: Iterable[int]) -> ForceReader:
 
 
 def clearance(world: MujocoWorld, ones: Sequence[int], others: Sequence[int]) -> ClearanceReader:
-    """Tyres, which are within their wheels, are left out."""
+    """Tires, which are within their wheels, are left out."""
     model, data = world.model, world.data
     pairs = [(one, other) for one in ones for other in others if ELLIPSOID not in (model.geom_type[one], model.geom_type[other])]
 
@@ -114,14 +114,14 @@ def rays(world: MujocoWorld, body: Body, link: int, ray_frames: Sequence[Frame],
     groups = model.geom_group[min(own) : max(own) + 1] if own else model.geom_group[:0]
     starts = np.array([origin for origin, _ in ray_frames])
     directions = np.array([frames.rotate(turned, (1.0, 0.0, 0.0)) for _, turned in ray_frames])
-    centre = _meeting_point(starts, directions)
+    center = _meeting_point(starts, directions)
     seen = np.ones(6, np.uint8)
     seen[HIDDEN_GROUP] = 0
     position, axes = data.xpos[link], data.xmat[link].reshape(3, 3)
 
     ray, aside = mj.mj_ray, np.ascontiguousarray(directions.T)
 
-    if centre is None:
+    if center is None:
         origins, ways = np.empty_like(starts), np.empty_like(directions)
         each, turned = list(zip(origins, ways, strict=True)), axes.T  # views of arrays that keep their memory
 
@@ -138,18 +138,18 @@ def rays(world: MujocoWorld, body: Body, link: int, ray_frames: Sequence[Frame],
 
         return read_each
 
-    count, ahead = len(ray_frames), np.einsum("ij,ij->i", starts - centre, directions).tolist()
+    count, ahead = len(ray_frames), np.einsum("ij,ij->i", starts - center, directions).tolist()
     far, geoms, met = reach + max(ahead), np.zeros(count, np.int32), np.zeros(count)
 
     def read() -> list[float]:
         world.update_positions()
         kept = groups.copy()
         groups.fill(HIDDEN_GROUP)
-        mj.mj_multiRay(model, data, position + axes @ centre, (axes @ aside).T.ravel(), seen, True, -1, geoms, met, None, count, far)
+        mj.mj_multiRay(model, data, position + axes @ center, (axes @ aside).T.ravel(), seen, True, -1, geoms, met, None, count, far)
         lengths = met.tolist()
         free = [reach if length < 0.0 else min(length - start, reach) for length, start in zip(lengths, ahead, strict=True)]
         for place, length in enumerate(free):
-            if length < 0.0:  # something is between the centre and the start
+            if length < 0.0:  # something is between the center and the start
                 origin, way = position + axes @ starts[place], axes @ directions[place]
                 hit = ray(model, data, origin, way, seen, True, -1, None, None)
                 free[place] = reach if hit < 0.0 or hit > reach else hit

@@ -17,7 +17,7 @@ What PyBullet leaves to its callers, and is settled here:
 - a new mass brings an inertia made up from the shape: ours scales that of the file
 - the friction of a pair is the product of the two; a link that states none has 1, so that the other decides
 - links of one robot do not touch each other
-- poses of bodies are those of their centre of mass, velocities too: converted where the two points differ
+- poses of bodies are those of their center of mass, velocities too: converted where the two points differ
 - poses of links lag one engine step behind unless their kinematics are asked for
 - cylinders are hulls, 1 mm too large and bumpy, unless implicit: a cart driven at 0.2 m/s did 0.2049 and lost
   half of it in 1.3 s of coasting; implicit, 0.2000 and nothing

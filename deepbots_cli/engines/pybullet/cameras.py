@@ -80,7 +80,7 @@ class PaintMap:
                 self._stroke(start, end, line.width / 2, place)
 
     def _stroke(self, start: tuple[float, float], end: tuple[float, float], half: float, paint: int) -> None:
-        """All cells whose centre is within `half` m of a straight piece."""
+        """All cells whose center is within `half` m of a straight piece."""
         spans = []
         for axis in (0, 1):
             ends = sorted((start[axis], end[axis]))
@@ -170,7 +170,7 @@ def pose_of_view(view: View) -> CameraPose:
 
 
 class Camera:
-    """`height` x `width` pixels; `fov` is the vertical angle (rad). A pixel is what its centre sees."""
+    """`height` x `width` pixels; `fov` is the vertical angle (rad). A pixel is what its center sees."""
 
     def __init__(self, client: int, width: int, height: int, fov: float, floor: Floor | None) -> None:
         self._pixel = 2 * tan(fov / 2) / height

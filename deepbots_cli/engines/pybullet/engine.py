@@ -142,7 +142,7 @@ class PyBulletEngine:
         self._cache.invalidate()
 
     def _reset_body(self, body: Body, pose: Frame, brakes: dict[int, float]) -> None:
-        """Put the centre of a body there, all of it at rest, with brakes of so many N m or N on its joints."""
+        """Put the center of a body there, all of it at rest, with brakes of so many N m or N on its joints."""
         number, client = body.number, self._client
         p.resetBasePositionAndOrientation(number, *pose, client)
         p.resetBaseVelocity(number, ZERO_VECTOR, ZERO_VECTOR, client)
@@ -154,10 +154,10 @@ class PyBulletEngine:
         self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = ZERO_VECTOR, angular_velocity: Triple = ZERO_VECTOR
     ) -> None:
         placed = self._pool(body).activate()
-        pose = placed.centre_pose(position, frames.normalised(orientation))
+        pose = placed.center_pose(position, frames.normalized(orientation))
         p.resetBasePositionAndOrientation(placed.number, *pose, self._client)
-        of_centre = frames.add(velocity, frames.cross(angular_velocity, frames.subtract(pose[0], position)))
-        p.resetBaseVelocity(placed.number, of_centre, angular_velocity, self._client)
+        of_center = frames.add(velocity, frames.cross(angular_velocity, frames.subtract(pose[0], position)))
+        p.resetBaseVelocity(placed.number, of_center, angular_velocity, self._client)
         self._cache.invalidate()
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:

@@ -107,7 +107,7 @@ def _loaded(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
                 raise EngineError(f"'{robot.name}' has {count} joints, and PyBullet holds {MAX_JOINTS} at most, fixed ones included")
             model = with_explicit_masses(robot.name, robot.model, robot.fixed_base)
             body = _load(client, robot.name, model, robot.fixed_base, file)
-            body.initial_pose = body.centre_pose(*frames.frame(robot.pose))
+            body.initial_pose = body.center_pose(*frames.frame(robot.pose))
             yield Pool(robot.name, [(robot.name, body)], pooled=False)
 
 
@@ -129,7 +129,7 @@ def join_islands(client: int, pools: Iterable[Pool[Body]]) -> None:
 def _object(client: int, thing: ObjectBody, file: Path) -> Body:
     known = not isinstance(thing.shape, Mesh)
     body = _load(client, thing.name, as_robot(thing), not is_movable(thing), file, inertia_known=known)
-    body.initial_pose = body.centre_pose(*frames.frame(thing.pose))
+    body.initial_pose = body.center_pose(*frames.frame(thing.pose))
     return body
 
 

@@ -149,9 +149,9 @@ def pusher(client: int, owner: Body, index: int, frame: Literal["world", "link"]
 
 def _in_link(client: int, owner: Body, index: int) -> Pusher:
     number = owner.number
-    centre, principal = owner.dynamics(index).inertia_frame
+    center, principal = owner.dynamics(index).inertia_frame
     back = frames.inverse(principal)
-    origin = frames.rotate(back, frames.scaled(centre, -1.0))
+    origin = frames.rotate(back, frames.scaled(center, -1.0))
     force_it, turn_it, mode = p.applyExternalForce, p.applyExternalTorque, p.LINK_FRAME
     straight = back == frames.IDENTITY_ROTATION
     refresh = (lambda: None) if index == BASE_LINK else partial(p.getLinkState, number, index, 0, 1, client)

@@ -63,7 +63,7 @@ class Body:
         self.anchor = touching[0] if touching else None
         self._client = client
         self._dynamics: dict[int, Dynamics] = {}
-        self.centre, self.principal = self.dynamics(BASE_LINK).inertia_frame
+        self.center, self.principal = self.dynamics(BASE_LINK).inertia_frame
         self._back = frames.inverse(self.principal)
         self._parallel = self.principal == frames.IDENTITY_ROTATION
         self.initial_pose: Frame = IDENTITY_FRAME
@@ -106,20 +106,20 @@ class Body:
             self._apply_weight(BASE_LINK)
 
     @property
-    def is_centred(self) -> bool:
+    def is_centered(self) -> bool:
         """Whether the root link's frame is that of its inertia, so that the poses of PyBullet need no conversion."""
-        return self.centre == ZERO_VECTOR and self._parallel
+        return self.center == ZERO_VECTOR and self._parallel
 
-    def centre_pose(self, position: Triple, orientation: Quaternion) -> Frame:
+    def center_pose(self, position: Triple, orientation: Quaternion) -> Frame:
         """The pose of the inertia, from that of the root link."""
-        if self.is_centred:
+        if self.is_centered:
             return position, orientation
-        return frames.add(position, frames.rotate(orientation, self.centre)), frames.multiply(orientation, self.principal)
+        return frames.add(position, frames.rotate(orientation, self.center)), frames.multiply(orientation, self.principal)
 
     def origin_pose(self, position: Triple, orientation: Quaternion) -> Frame:
         """The pose of the root link, from that of the inertia."""
         turned = orientation if self._parallel else frames.multiply(orientation, self._back)
-        return frames.subtract(position, frames.rotate(turned, self.centre)), turned
+        return frames.subtract(position, frames.rotate(turned, self.center)), turned
 
 
 # Readings
@@ -168,14 +168,14 @@ def pose(client: int, owner: Body, index: int, read_cache: ReadCache) -> PoseRea
     if index != BASE_LINK:
         read_link: Callable[[], tuple[Triple, ...]] = partial(p.getLinkState, number, index, 0, 1, client)
         return read_cache.cached(("pose", number, index), lambda: read_link()[4:6])  # type: ignore[return-value, arg-type]
-    if owner.is_centred:
+    if owner.is_centered:
         return partial(p.getBasePositionAndOrientation, number, client)
     placed = _root_frames(client, owner, read_cache)
     return lambda: placed()[1]
 
 
 def velocity(client: int, owner: Body, index: int, read_cache: ReadCache) -> VelocityReader:
-    if index == BASE_LINK and owner.centre == ZERO_VECTOR:
+    if index == BASE_LINK and owner.center == ZERO_VECTOR:
         read: VelocityReader = partial(p.getBaseVelocity, owner.number, client)
         return read
     read_motion = motion(client, owner, index, read_cache)
@@ -188,31 +188,31 @@ def motion(client: int, owner: Body, index: int, read_cache: ReadCache) -> Motio
         read_link = partial(p.getLinkState, number, index, 1, 1, client)
 
         def of_link() -> Motion:
-            centre, _, _, _, origin, turned, linear, angular = read_link()
-            return (origin, turned), (frames.add(linear, frames.cross(angular, frames.subtract(origin, centre))), angular)
+            center, _, _, _, origin, turned, linear, angular = read_link()
+            return (origin, turned), (frames.add(linear, frames.cross(angular, frames.subtract(origin, center))), angular)
 
         return read_cache.cached(("motion", number, index), of_link)
     read_velocity = partial(p.getBaseVelocity, number, client)
-    if owner.is_centred:
+    if owner.is_centered:
         read_pose = partial(p.getBasePositionAndOrientation, number, client)
         return read_cache.cached(("motion", number, index), lambda: (read_pose(), read_velocity()))
     placed = _root_frames(client, owner, read_cache)
 
     def of_origin() -> Motion:
-        centre, pose = placed()
+        center, pose = placed()
         linear, angular = read_velocity()
-        return pose, (frames.add(linear, frames.cross(angular, frames.subtract(pose[0], centre))), angular)
+        return pose, (frames.add(linear, frames.cross(angular, frames.subtract(pose[0], center))), angular)
 
     return read_cache.cached(("motion", number, index), of_origin)
 
 
 def _root_frames(client: int, owner: Body, read_cache: ReadCache) -> Callable[[], tuple[Triple, Frame]]:
-    """Where the centre of mass of a root link is, and the pose of the link."""
+    """Where the center of mass of a root link is, and the pose of the link."""
     read = partial(p.getBasePositionAndOrientation, owner.number, client)
 
     def placed() -> tuple[Triple, Frame]:
-        centre, turned = read()
-        return centre, owner.origin_pose(centre, turned)
+        center, turned = read()
+        return center, owner.origin_pose(center, turned)
 
     return read_cache.cached(("placed", owner.number), placed)
 

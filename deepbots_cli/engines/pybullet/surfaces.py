@@ -148,11 +148,11 @@ class Rays:
         }
 
     def reader(self, body: Body, index: int, rays: Sequence[Frame], reach: float) -> RayReader:
-        centre, principal = body.dynamics(index).inertia_frame
+        center, principal = body.dynamics(index).inertia_frame
         back = frames.inverse(principal)
         ends = [frames.add(origin, frames.rotate(turned, (reach, 0.0, 0.0))) for origin, turned in rays]
         points = ([origin for origin, _ in rays], ends)
-        starts, ends = ([frames.rotate(back, frames.subtract(point, centre)) for point in each] for each in points)
+        starts, ends = ([frames.rotate(back, frames.subtract(point, center)) for point in each] for each in points)
         cast = partial(
             p.rayTestBatch,
             starts,
@@ -203,9 +203,9 @@ class RoundSurface:
 
     def hit_distance(self, start: Triple, direction: Triple, near: float) -> float:
         """How far (m) along a unit direction the surface is met, if that is close to the answer `near`."""
-        centre, turned = frames.compose(self.pose(), self.origin)
+        center, turned = frames.compose(self.pose(), self.origin)
         back = frames.inverse(turned)
-        s, d = frames.rotate(back, frames.subtract(start, centre)), frames.rotate(back, direction)
+        s, d = frames.rotate(back, frames.subtract(start, center)), frames.rotate(back, direction)
         r = self.shape.radius
         if isinstance(self.shape, Sphere):
             met = _ball(s, d, 0.0, r)

@@ -82,7 +82,7 @@ def save(path: Path, model: BaseAlgorithm) -> None:
 
 
 def load(path: Path, model: BaseAlgorithm) -> None:
-    """Set the tensors of a model, its optimisers and its variables.
+    """Set the tensors of a model, its optimizers and its variables.
 
     Raises:
         RunError: The file is missing, damaged, no model of ours, or has other tensors than the model.
@@ -110,7 +110,7 @@ def load(path: Path, model: BaseAlgorithm) -> None:
 
 
 def initialize(path: Path, model: BaseAlgorithm) -> Initialization:
-    """Take over each tensor of the policy that has the same name and shape in the file; optimisers begin afresh.
+    """Take over each tensor of the policy that has the same name and shape in the file; optimizers begin afresh.
 
     Raises:
         RunError: The file is missing, damaged, or no model.
@@ -239,7 +239,7 @@ def _refuse(path: Path, missing: str, strange: str) -> None:
 
 
 def _moments(optimizer: torch.optim.Optimizer) -> list[str]:
-    """What an optimiser remembers of each parameter, found out with a parameter of no concern."""
+    """What an optimizer remembers of each parameter, found out with a parameter of no concern."""
     probe = torch.nn.Parameter(torch.zeros(1))
     probe.grad = torch.zeros(1)
     build: Any = type(optimizer)

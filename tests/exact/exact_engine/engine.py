@@ -114,7 +114,7 @@ class ExactEngine:
         self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = ZERO_VECTOR, angular_velocity: Triple = ZERO_VECTOR
     ) -> None:
         motion = self._motion(body)
-        motion.place((position, frames.normalised(orientation)))
+        motion.place((position, frames.normalized(orientation)))
         motion.throw(velocity, angular_velocity)
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:

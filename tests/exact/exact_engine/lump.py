@@ -15,17 +15,17 @@ _NOTHING: Matrix = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 @dataclass(frozen=True)
 class Lump:
-    """Mass (kg), centre of mass (m) and inertia about it (kg m^2) in the frame of the first link; where each link is in it."""
+    """Mass (kg), center of mass (m) and inertia about it (kg m^2) in the frame of the first link; where each link is in it."""
 
     name: str
     mass: float
-    centre: Triple
+    center: Triple
     inertia: Matrix
     members: dict[str, Frame]
 
     def inertia_about(self, axis: Triple) -> float:
         """About a unit axis through the origin of the first link."""
-        arm = cross(axis, self.centre)
+        arm = cross(axis, self.center)
         return dot(axis, self.times_inertia(axis)) + self.mass * dot(arm, arm)
 
     def times_inertia(self, v: Triple) -> Triple:
@@ -47,19 +47,19 @@ def joined(model: RobotModel, first: str) -> Lump:
     for name, place in members.items():
         known = model.link(name).inertial
         if known:
-            centre, turned = frames.compose(place, frames.frame(known.origin))
+            center, turned = frames.compose(place, frames.frame(known.origin))
             columns = tuple(rotate(turned, axis) for axis in frames.diagonal((1.0, 1.0, 1.0)))
             turn = frames.transposed((columns[0], columns[1], columns[2]))
-            parts.append((known.mass, centre, frames.rotate_tensor(known.matrix, turn)))
+            parts.append((known.mass, center, frames.rotate_tensor(known.matrix, turn)))
     mass = sum(part[0] for part in parts)
     if mass <= 0.0:
         return Lump(first, 0.0, IDENTITY_FRAME[0], _NOTHING, members)
-    weighted = [scaled(centre, part_mass / mass) for part_mass, centre, _ in parts]
-    centre = (sum(w[0] for w in weighted), sum(w[1] for w in weighted), sum(w[2] for w in weighted))
+    weighted = [scaled(center, part_mass / mass) for part_mass, center, _ in parts]
+    center = (sum(w[0] for w in weighted), sum(w[1] for w in weighted), sum(w[2] for w in weighted))
     tensor = _NOTHING
     for part_mass, at, own in parts:
-        tensor = _plus(tensor, _plus(own, _of_point(part_mass, subtract(at, centre))))
-    return Lump(first, mass, centre, tensor, members)
+        tensor = _plus(tensor, _plus(own, _of_point(part_mass, subtract(at, center))))
+    return Lump(first, mass, center, tensor, members)
 
 
 def _of_point(mass: float, at: Triple) -> Matrix:

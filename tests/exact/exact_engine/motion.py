@@ -2,16 +2,16 @@
 
 A motion keeps its state between calls of `advance(dt)`, and says where its links are and how they move.
 
-Cart-pole: axes may point anywhere. With x along the unit vector a, the angle t about b, the pole's centre at R(t) r from the hinge,
+Cart-pole: axes may point anywhere. With x along the unit vector a, the angle t about b, the pole's center at R(t) r from the hinge,
 u = b x Rr, n = b x u, total mass M + m, the pole's mass m and its moment of inertia J about the hinge, gravity g, damping c and d:
 
     (M + m) x"  + m (a.u) t"  =  F + (M + m) g.a - m (a.n) t'^2 - c x'
     m (a.u) x"  +    J    t"  =  T + m g.u - d t'
 
 These are Lagrange's equations of the two bodies: kinetic energy (M + m) x'^2 / 2 + m (a.u) x' t' + J t'^2 / 2, potential energy of both
-in g. For a level rail and an upright pole with its centre at l, a.u = l cos t and a.n = -l sin t, which is the textbook's pair.
+in g. For a level rail and an upright pole with its center at l, a.u = l cos t and a.n = -l sin t, which is the textbook's pair.
 
-Rigid bodies: the centre of mass follows a parabola; the attitude follows from the angular momentum L, which is constant, by
+Rigid bodies: the center of mass follows a parabola; the attitude follows from the angular momentum L, which is constant, by
 q' = w q / 2 with w = L / I in the body's present attitude.
 """
 
@@ -58,7 +58,7 @@ class RigidBody:
 
     def place(self, frame: Frame) -> None:
         """Put the origin of the root link there, at rest."""
-        self.centre = add(frame[0], rotate(frame[1], self.lump.centre))
+        self.center = add(frame[0], rotate(frame[1], self.lump.center))
         self.turned = frame[1]
         self.speed: Triple = (0.0, 0.0, 0.0)
         self.momentum: Triple = (0.0, 0.0, 0.0)
@@ -66,7 +66,7 @@ class RigidBody:
     def throw(self, linear: Triple, angular: Triple) -> None:
         """Give its root link's origin a velocity (m/s), and it an angular one (rad/s), in the world frame."""
         if self.flies:
-            self.speed = add(linear, cross(angular, rotate(self.turned, self.lump.centre)))
+            self.speed = add(linear, cross(angular, rotate(self.turned, self.lump.center)))
             self.spin(angular)
 
     def spin(self, angular: Triple) -> None:
@@ -76,7 +76,7 @@ class RigidBody:
     def advance(self, dt: float) -> None:
         if not self.flies:
             return
-        self.centre = add(self.centre, add(scaled(self.speed, dt), scaled(self._gravity, dt * dt / 2)))
+        self.center = add(self.center, add(scaled(self.speed, dt), scaled(self._gravity, dt * dt / 2)))
         self.speed = add(self.speed, scaled(self._gravity, dt))
         pieces = ceil(dt / FINE)
         for _ in range(pieces):
@@ -89,7 +89,7 @@ class RigidBody:
         k3 = self._rate(_moved(q, k2, h / 2))
         k4 = self._rate(_moved(q, k3, h))
         a, b, c, d = (h / 6 * (r1 + 2 * r2 + 2 * r3 + r4) for r1, r2, r3, r4 in zip(k1, k2, k3, k4, strict=True))
-        self.turned = frames.normalised((q[0] + a, q[1] + b, q[2] + c, q[3] + d))
+        self.turned = frames.normalized((q[0] + a, q[1] + b, q[2] + c, q[3] + d))
 
     def _rate(self, q: Quaternion) -> Quaternion:
         x, y, z = self._angular(q)
@@ -108,23 +108,23 @@ class RigidBody:
         return tuple(self.lump.members)
 
     def pose(self, link: str) -> Frame:
-        root = (subtract(self.centre, rotate(self.turned, self.lump.centre)), self.turned)
+        root = (subtract(self.center, rotate(self.turned, self.lump.center)), self.turned)
         return frames.compose(root, self.lump.members[link])
 
     def velocity(self, link: str) -> tuple[Triple, Triple]:
         angular = self._angular(self.turned)
-        return add(self.speed, cross(angular, subtract(self.pose(link)[0], self.centre))), angular
+        return add(self.speed, cross(angular, subtract(self.pose(link)[0], self.center))), angular
 
     @property
     def finite(self) -> bool:
-        return isfinite(sum(self.centre) + sum(self.turned) + sum(self.speed))
+        return isfinite(sum(self.center) + sum(self.turned) + sum(self.speed))
 
     @property
     def energy(self) -> float:
         """Kinetic and potential energy, in J."""
         mass = self.lump.mass
         turning = dot(self.momentum, self._angular(self.turned)) / 2
-        return mass * dot(self.speed, self.speed) / 2 + turning - mass * dot(self._gravity, self.centre)
+        return mass * dot(self.speed, self.speed) / 2 + turning - mass * dot(self._gravity, self.center)
 
 
 @dataclass
@@ -147,7 +147,7 @@ class Drive:
 class CartPole:
     """A cart on a straight rail with a pole on a hinge; axes may point anywhere.
 
-    With x along the unit vector a, the angle t about b, the pole's centre at R(t) r from the hinge,
+    With x along the unit vector a, the angle t about b, the pole's center at R(t) r from the hinge,
     u = b x R r and n = b x u, and g for gravity:
 
         (M + m) x" + m (a.u) t"  =  F + (M + m) g.a - m (a.n) t'^2 - c x'
@@ -201,7 +201,7 @@ class CartPole:
         """Put the origin of the root link there; the joints stay as they are."""
         self._base = frame
         gravity = rotate(inverse(frame[1]), self._gravity)
-        u = cross(self._about, rotate(self._bearing[1], self._lumps[2].centre))
+        u = cross(self._about, rotate(self._bearing[1], self._lumps[2].center))
         n = cross(self._about, u)
         self._a_u, self._a_n = dot(self._along, u), dot(self._along, n)
         self._g_u, self._g_n = dot(gravity, u), dot(gravity, n)
@@ -307,7 +307,7 @@ class CartPole:
         """Kinetic and potential energy, in J, but for a constant."""
         x, t, v, w = self.state
         kinetic = self._mass * v * v / 2 + self._coupling(t) * v * w + self._inertia * w * w / 2
-        # u turns as cos, n as sin, of the angle; the centre itself is -n turned.
+        # u turns as cos, n as sin, of the angle; the center itself is -n turned.
         return kinetic - self._mass * self._g_a * x + self._pole_mass * (self._g_n * cos(t) - self._g_u * sin(t))
 
 

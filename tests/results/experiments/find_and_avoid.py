@@ -4,7 +4,7 @@ from tests.results.experiment import RANDOM, Bar, Crossed, Evaluation, Experimen
 
 PAPER = (
     "The collection tells of 98.7 % of the last training episodes, after 3.4 million steps of an agent with masked choices, at 307 steps "
-    "a second. Its maps are drawn otherwise, so the shares are no more than neighbours."
+    "a second. Its maps are drawn otherwise, so the shares are no more than neighbors."
 )
 MARKS = (Mark("asked for: 90 %", value=0.9), Mark("the collection: 98.7 %", value=0.987))
 

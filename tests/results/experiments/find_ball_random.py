@@ -1,4 +1,4 @@
-"""Find the ball among obstacles that are placed anew for each episode: what the paper's agent failed to generalise to."""
+"""Find the ball among obstacles that are placed anew for each episode: what the paper's agent failed to generalize to."""
 
 from tests.results.experiment import RANDOM, Bar, Evaluation, Experiment, Held, Mark, Trained, Training, seeds
 

@@ -1,6 +1,6 @@
 """The algorithms of sbx with their arrays as torch tensors, which is how deepbots stores and reads weights.
 
-A model has two parts: `policy` holds the parameters of the networks, `learner` the optimisers, the random keys and the entropy
+A model has two parts: `policy` holds the parameters of the networks, `learner` the optimizers, the random keys and the entropy
 coefficient. Both have the `state_dict` and `load_state_dict` of torch.
 """
 
