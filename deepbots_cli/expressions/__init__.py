@@ -5,7 +5,7 @@ function that takes findings. Read in this order:
 
 dimensions.py   dimensions and units
 intervals.py    interval arithmetic
-types.py        types, stages, symbols and scopes; the typed tree
+types.py        types (with when a value is known), symbols and scopes; the typed tree
 syntax.py       tokens and the syntax tree
 parser.py       text to syntax tree, with hints for common mistakes
 functions.py    the table of functions and operators; intervals of scalar trees; functions of other packages

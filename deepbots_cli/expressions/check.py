@@ -1,4 +1,4 @@
-"""Syntax tree to typed tree: resolves names, dimensions, shapes, intervals and stages.
+"""Syntax tree to typed tree: resolves names, dimensions, shapes, intervals, and when values are known.
 
 A finding stops the check of all nodes above its own, but not of its neighbors: each fault gives one finding.
 """

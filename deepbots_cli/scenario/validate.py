@@ -1,6 +1,6 @@
 """Nodes to a validated scenario: pydantic's errors become findings, each at its exact place and in the words of the language.
 
-The first round reports. Faulty entries are then taken out and the rest is validated again, until it passes: later stages see
+The first round reports. Faulty entries are then taken out and the rest is validated again, until it passes: later passes see
 everything that is sound, and nothing is reported twice.
 """
 

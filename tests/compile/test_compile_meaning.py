@@ -1,4 +1,4 @@
-"""What a scenario means, as far as the compiler settles it: order, stages, draws, endings, messages."""
+"""What a scenario means, as far as the compiler settles it: order, when values are known, draws, endings, messages."""
 
 from __future__ import annotations
 

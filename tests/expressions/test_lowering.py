@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deepbots_cli.expressions.functions import FUNCTIONS, scalar_function
-from deepbots_cli.expressions.lower import constant_values, lower
+from deepbots_cli.expressions.lower import constant_values, lower, stream_name
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Op, State
 from deepbots_cli.expressions.types import Context
 
@@ -148,3 +148,16 @@ def test_a_wrapped_angle_is_the_same_direction_within_half_a_turn(angle):
 
 def test_half_a_turn_wraps_to_plus_half_a_turn(bench):
     assert bench.values("wrap(180 deg)") == bench.values("wrap(-180 deg)") == [math.pi]
+
+
+@pytest.mark.parametrize(
+    ("place", "stream"),
+    [
+        ("reset.joints.cart.pole_hinge#0", "reset.set.cart.pole_hinge#0"),
+        ("objects.ball.color:ball#0", "objects.ball.colour:ball#0"),
+        ("parameters.color#0", "parameters.color#0"),
+        ("reset.place.joints.x#0", "reset.place.joints.x#0"),
+    ],
+)
+def test_a_stream_keeps_its_name_when_a_key_is_renamed(place: str, stream: str) -> None:
+    assert stream_name(place) == stream

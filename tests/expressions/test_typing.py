@@ -1,4 +1,4 @@
-"""Dimensions, shapes, stages and names of whole expressions, and what is found wrong with them."""
+"""Dimensions, shapes and names, and when values are known, of whole expressions, and what is found wrong with them."""
 
 import pytest
 
@@ -252,7 +252,7 @@ def test_a_value_out_of_range_is_shown_with_its_sign(bench):
     assert bench.said[0].headline == "the field is -5e+06 m"
 
 
-def test_a_field_takes_the_shape_and_stage_that_it_declares(bench):
+def test_a_field_takes_the_shape_that_it_declares_and_is_known_when_it_says(bench):
     expect_value(bench.clean("1 2 3 m"), bench.report, "the size", dimension=LENGTH, components=("x", "y"))
     assert [said.code for said in bench.said] == ["DB106"]
     assert expect_value(bench.clean("1 2 3 m"), bench.report, "the field", components=ANY_SHAPE) is not None
