@@ -38,7 +38,7 @@ from deepbots_cli.program.robots import Direction, Robot, Route
 from deepbots_cli.program.task import Solved, Truncation
 from deepbots_cli.program.values import Expression, Foreign
 from deepbots_cli.program.world import MAX_SETTLING_STEPS, ObjectBody, WorldModel
-from deepbots_cli.scenario.fields import Quantity, choices_help
+from deepbots_cli.scenario.fields import Quantity, choices_help, read_until
 from deepbots_cli.scenario.scenario import Disturbance as DisturbanceSpec
 from deepbots_cli.scenario.scenario import JointState, Measured, PythonTerm
 from deepbots_cli.scenario.scenario import Reset as ResetSpec
@@ -457,13 +457,13 @@ def solved(namespace: Namespace) -> Solved | None:
     values = namespace.values
     if spec.solved is None:
         return None
-    rate = namespace.fixed(spec.solved, "success_rate")
-    known = spec.termination.success or spec.goal or any(map(values.is_invalid, ("success", "termination", "goal")))
-    if rate is not None and not known:
+    metric, threshold, episodes = read_until(spec.solved) or ("", 0.0, None)
+    if metric == "mean_return":
+        return Solved(episodes or 0, mean_return=threshold)
+    if not (spec.termination.success or spec.goal or any(map(values.is_invalid, ("success", "termination", "goal")))):
         help = "add a condition under `termination.success`, or require a `mean_return`"
-        values.add("DB407", values.field(spec.solved, "success_rate").span, NO_SUCCESS_DEFINED, help)
-    mean_return = None if spec.solved.mean_return is None else float(spec.solved.mean_return)
-    return Solved(spec.solved.episodes, mean_return, rate)
+        values.add("DB407", ("solved",), NO_SUCCESS_DEFINED, help)
+    return Solved(episodes or 0, success_rate=threshold)
 
 
 def with_reading_ages(program: Program) -> Program:

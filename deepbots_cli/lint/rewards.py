@@ -331,11 +331,11 @@ def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
 
     Example::
 
-        solved: {mean_return: 500, episodes: 100}
+        solved: mean_return >= 500 over 100 episodes
 
     Instead::
 
-        solved: {mean_return: 195, episodes: 100}
+        solved: mean_return >= 195 over 100 episodes
     """
     for analysis, wanted, path in _wanted_returns(context):
         known = return_range(analysis)
@@ -351,7 +351,7 @@ def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, Nod
     """The mean returns that the scenario asks for, each with the version of the scenario and its place."""
     program = context.program
     if program.agent.solved is not None and program.agent.solved.mean_return is not None:
-        yield context.analysis, program.agent.solved.mean_return, ("solved", "mean_return")
+        yield context.analysis, program.agent.solved.mean_return, ("solved",)
     stages = context.versions[1 + len(program.cases) :]
     for place, (stage, analysis) in enumerate(zip(program.curriculum, stages, strict=True)):
         if stage.until is not None and stage.until.metric == "mean_return":

@@ -812,8 +812,34 @@ class Until(FieldType):
         elif metric == "steps":
             check_bounds(threshold, 1)
 
+    def help_for(self, value: object) -> str | None:
+        if isinstance(value, str) and re.fullmatch(_MEAN, value.strip()):
+            return f"write how many episodes: `{value.strip()} over 100 episodes`"
+        return super().help_for(value)
+
     def json_schema(self) -> JsonSchema:
         return self._matching(r"^\s*((success_rate|mean_return)\s*>=.* (over .* episodes?|in\s+evaluation)|[0-9_]+\s+steps?)\s*$")
+
+
+class Solved(Until):
+    """When the task is solved: the first form of `until`."""
+
+    noun = "a criterion over episodes"
+    example = "mean_return >= 195 over 100 episodes"
+
+    def has_form(self, value: object) -> bool:
+        found = read_until(value)
+        return found is not None and found[0] != "steps" and found[2] is not None
+
+    def help_for(self, value: object) -> str | None:
+        metrics = [key for key in ("mean_return", "success_rate") if key in value] if isinstance(value, dict) else []
+        if isinstance(value, dict) and metrics:
+            lines = [f"{key} >= {str(value[key])[:20]} over {str(value.get('episodes', 100))[:20]} episodes" for key in metrics]
+            return "write " + " or ".join(f"`solved: {line}`" for line in lines)
+        return super().help_for(value)
+
+    def json_schema(self) -> JsonSchema:
+        return self._matching(r"^\s*(success_rate|mean_return)\s*>=.* over .* episodes?\s*$")
 
 
 class Setting(FieldType):

@@ -19,7 +19,6 @@ from deepbots_cli.scenario.fields import (
     JointPattern,
     Length,
     LocalName,
-    Number,
     Pattern,
     PlainText,
     PositiveInt,
@@ -35,6 +34,7 @@ from deepbots_cli.scenario.fields import (
     SharedName,
     Signal,
     SmallInt,
+    Solved,
     Text,
     Thickness,
     Until,
@@ -296,19 +296,6 @@ class Evaluation(Section):
     """Further conditions under which the policy is evaluated, by names of your choice."""
 
 
-class Solved(Section):
-    """Criterion for a solved task."""
-
-    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("mean_return", "success_rate"), min=1, max=2),)
-
-    mean_return: Annotated[float, Number()] | None = None
-    """Minimum of the mean return over the episodes."""
-    success_rate: Share | None = None
-    """Minimum of the share of successful episodes, 0 to 1."""
-    episodes: PositiveInt = 100
-    """Number of consecutive episodes."""
-
-
 # Tests
 
 FixedAction = dict[Annotated[str, Reference("action")], Annotated[dict[Annotated[str, Reference("choice")], Choice] | Choice, FORMS]]
@@ -560,8 +547,8 @@ class Scenario(Section):
     """Stages of increasing difficulty."""
     evaluation: Evaluation = Field(default_factory=Evaluation)
     """Evaluation of a trained policy."""
-    solved: Solved | None = None
-    """Criterion for a solved task."""
+    solved: Annotated[str, Solved()] | None = None
+    """When the task is solved: a minimum of `mean_return` or `success_rate` over the last episodes."""
     train: AnyTraining | None = None
     """How the policy is trained."""
     tests: dict[LocalName, ScenarioTest] = {}

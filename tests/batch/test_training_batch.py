@@ -176,7 +176,7 @@ def test_why_worlds_are_stepped_one_by_one_is_told() -> None:
 
 def test_a_batch_enters_the_next_stage_after_an_evaluation(tmp_path: Path) -> None:
     stages = "curriculum=[{name: easy, set: {truncation.max_steps: 3}, until: mean_return >= 2 in evaluation}, {name: hard}]"
-    changes = [stages, "truncation.max_steps=5", "train.n_steps=32", "train.n_epochs=1", "solved.episodes=8"]
+    changes = [stages, "truncation.max_steps=5", "train.n_steps=32", "train.n_epochs=1", "solved=mean_return >= 195 over 8 episodes"]
     result = learning.train(api.compile("cartpole", overrides=changes), run=tmp_path / "run", total_timesteps=1024, engine="mujoco")
     (done,) = result.stages
     rows = list(csv.DictReader((tmp_path / "run" / "monitor.csv").read_text().splitlines()[1:]))

@@ -59,7 +59,7 @@ def test_a_training_ends_with_a_verdict_and_what_to_do_next(trained, tmp_path):
 
 
 def test_a_solved_task_is_to_be_seen_and_used_and_not_trained_twice_as_long(deepbots):
-    ran = deepbots(*TINY, "--run", "mine", "--set", "solved={mean_return: 1, episodes: 4}")
+    ran = deepbots(*TINY, "--run", "mine", "--set", "solved=mean_return >= 1 over 4 episodes")
     assert ran.err.split("next:")[1].split("\n")[1:4] == ["  deepbots view mine", "  deepbots report mine", "  deepbots export mine"]
     assert "--resume" not in ran.err
 
@@ -290,9 +290,9 @@ def test_a_run_is_evaluated_under_other_settings(deepbots, trained):
 
 
 def test_a_requirement_met_by_a_changed_criterion_names_the_change_in_every_format(deepbots, trained, tmp_path):
-    changed = ("--set", "solved={mean_return: 1, episodes: 4}", "--min-return", "0")
+    changed = ("--set", "solved=mean_return >= 1 over 4 episodes", "--min-return", "0")
     ran = deepbots("eval", "mine", *changed, "--require-solved", "--junit", "gate.xml", "--csv", "gate.csv")
-    remarks = "(--set 'solved={mean_return: 1, episodes: 4}')"
+    remarks = "(--set 'solved=mean_return >= 1 over 4 episodes')"
     assert ran.code == 0
     assert ran.out.splitlines()[-1].startswith("solved: ")
     assert ran.out.splitlines()[-1].endswith(remarks)
@@ -302,10 +302,10 @@ def test_a_requirement_met_by_a_changed_criterion_names_the_change_in_every_form
         f"mean return of at least 0 {remarks}",
     ]
     named = {entry.get("name"): entry.get("value") for entry in suite.iter("property")}
-    assert (named["run"], named["scenario"], named["set"]) == ("mine", "CartPole", "solved={mean_return: 1, episodes: 4}")
+    assert (named["run"], named["scenario"], named["set"]) == ("mine", "CartPole", "solved=mean_return >= 1 over 4 episodes")
     with (tmp_path / "gate.csv").open(newline="") as stream:
         row = next(csv.DictReader(stream))
-    assert (row["run"], row["set"], row["remarks"]) == ("mine", "solved={mean_return: 1, episodes: 4}", remarks[1:-1])
+    assert (row["run"], row["set"], row["remarks"]) == ("mine", "solved=mean_return >= 1 over 4 episodes", remarks[1:-1])
     deepbots("new", "cartpole", "--from", "cartpole")
     deepbots("eval", "mine", "--scenario", "cartpole.yaml", "--min-return", "0", "--episodes", "3", "--junit", "other.xml")
     suite = ElementTree.parse(tmp_path / "other.xml").getroot()

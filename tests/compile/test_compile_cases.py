@@ -9,7 +9,7 @@ import pytest
 from deepbots_cli.errors import UsageError
 from deepbots_cli.program.identity import to_json
 
-SOLVED = "solved: {mean_return"
+SOLVED = "solved: mean_return"
 
 
 def with_cases(cases: str) -> tuple[str, str]:
@@ -54,7 +54,7 @@ def test_a_mistake_in_several_cases_is_shown_at_each_setting(workshop, cartpole)
     assert [finding.span.text for finding in findings] == ["truck", "^", "-1 s"]
 
 
-@pytest.mark.parametrize("path", ["train.algorithm", "observation.x", "action", "evaluation.episodes", "name", "solved.episodes"])
+@pytest.mark.parametrize("path", ["train.algorithm", "observation.x", "action", "evaluation.episodes", "name", "solved"])
 def test_what_a_policy_is_made_for_stays(workshop, cartpole, path: str) -> None:
     assert workshop.codes(cartpole(with_cases(f"odd: {{set: {{{path}: 1}}}}"))) == ["DB407"]
 

@@ -10,7 +10,7 @@ from tests.compile.conftest import shipped_text
 SUCCESS = "termination: {success: {there: position(cart).x > 0.3 m}}\n"
 LAYOUTS = "reset: {layouts: {left: {cart: {x: -0.1 m, z: 0.04 m}}, right: {cart: {x: 0.1 m, z: 0.04 m}}}, layout: "
 PLACES = {
-    "solved": SUCCESS + "solved: {success_rate: SHARE, episodes: 30}",
+    "solved": SUCCESS + "solved: success_rate >= SHARE over 30 episodes",
     "until": SUCCESS + "curriculum: [{name: one, until: success_rate >= SHARE over 30 episodes}, {name: two}]",
     "the ground's restitution": "world: {ground: {restitution: SHARE}}",
     "a link's restitution": "robots: {cart: {links: {body: {restitution: SHARE}}}}",
@@ -50,7 +50,7 @@ def test_a_share_may_be_written_in_percent(workshop, head, place):
     [
         ("curriculum: [{name: one, until: success_rate >= 80 over 30 episodes}, {name: two}]", "80 %"),
         ("train: {gamma: 99}", "99 %"),
-        ("solved: {success_rate: 80}", "80 %"),
+        ("solved: success_rate >= 80 over 100 episodes", "80 %"),
     ],
 )
 def test_a_share_in_hundredths_without_its_sign_is_told_the_sign(workshop, head, line, help):

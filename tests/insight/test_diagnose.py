@@ -315,7 +315,7 @@ def test_a_training_that_runs_is_not_told_to_resume(carriage, tmp_path, capsys):
 
 
 def test_a_run_whose_last_evaluation_misses_the_criterion_is_not_told_to_be_solved(tmp_path, capsys):
-    run = Run.open(_shuttle(tmp_path, "solved={success_rate: 95 %, episodes: 100}"))
+    run = Run.open(_shuttle(tmp_path, "solved=success_rate >= 95 % over 100 episodes"))
     good = np.ones(400)
     done = [Episode(5.0, 60, k >= 7, "parked") for k in range(100)]
     training = _logs(run.path, _returns(good, 0), np.full(400, 60), success=good, evaluations=_evaluated(*[1.0] * 20))

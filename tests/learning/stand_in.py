@@ -80,8 +80,8 @@ def compiled(
     )
     text += f"train: {_train(training or Training('PPO', 1_000, environments=2))}\n"
     if solved is not None:
-        given = {"mean_return": solved.mean_return, "success_rate": solved.success_rate, "episodes": solved.episodes}
-        text += f"solved: {json.dumps({key: value for key, value in given.items() if value is not None})}\n"
+        metric = "mean_return" if solved.success_rate is None else "success_rate"
+        text += f"solved: {metric} >= {getattr(solved, metric)} over {solved.episodes} episodes\n"
     return _compiled(text + more)
 
 

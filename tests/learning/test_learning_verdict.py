@@ -34,7 +34,7 @@ def test_a_quick_evaluation_does_not_replace_the_one_with_the_most_episodes(run_
 
 def test_an_edited_criterion_does_not_make_a_run_solved(run_copy: Path) -> None:
     resolved = run_copy / "resolved.yaml"
-    resolved.write_text(resolved.read_text().replace("mean_return: 195", "mean_return: 1"))
+    resolved.write_text(resolved.read_text().replace("mean_return >= 195", "mean_return >= 1"))
     run = Run.open(run_copy)
     assert run.digest != run.record.digest
     found = evaluate(run, episodes=12, build=stand_in.build)
@@ -49,7 +49,9 @@ def test_an_edited_criterion_does_not_make_a_run_solved(run_copy: Path) -> None:
     assert read_listed(run_copy).evaluated_episodes == 3
 
 
-@pytest.mark.parametrize("where", [{"stage": "easy"}, {"case": "easy"}, {"set": ["solved.mean_return=1"]}, {"elsewhere": "easy.yaml"}])
+@pytest.mark.parametrize(
+    "where", [{"stage": "easy"}, {"case": "easy"}, {"set": ["solved=mean_return >= 1 over 9 episodes"]}, {"elsewhere": "easy.yaml"}]
+)
 def test_an_evaluation_of_an_easy_stage_or_another_scenario_does_not_make_a_run_solved(run_copy: Path, where: dict[str, object]) -> None:
     run = Run.open(run_copy)
     run.write_evaluation(to_json(evaluate(run, episodes=12, build=stand_in.build)) | where | {"solved": True, "episodes": 999})

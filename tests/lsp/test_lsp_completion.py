@@ -27,7 +27,7 @@ def typing(client, pit, project):
     ("old", "new", "offered", "not_offered"),
     [
         ("timestep: 32 ms, substeps", "timestep: 32 ms, gr¦, substeps", {"gravity", "ground", "arena"}, {"timestep", "substeps", "gyro"}),
-        ("solved: {mean_return: 0.89, ", "solved: {su¦, ", {"success_rate", "mean_return"}, {"episodes", "solved"}),
+        ("{max_time: time_limit}", "{max¦}", {"max_time", "max_steps"}, {"truncation", "episodes"}),
         ("  n_steps: 64\n", "  n_¦\n", {"n_steps", "n_epochs", "clip_range"}, {"buffer_size", "algorithm"}),
         ("messages: {format: struct}\n", "augment: {at: {value: position(roller).x, ¦}}\n", {"noise"}, {"value", "range"}),
         ("messages: {format: struct}\n", "mes¦\n", {"messages", "goal", "disturbances"}, {"world", "robots", "timestep"}),
