@@ -75,6 +75,7 @@ WRITING = {
     "eval, CSV": ("eval", "run", "--csv", "mine.csv"),
     "eval, JUnit": ("eval", "run", "--min-return", "0", "--junit", "mine.xml"),
     "new": ("new", "mine", "--template", "pit"),
+    "new, project": ("new", "mine", "--template", "pit", "--project", "."),
     "new, schema": ("new", "mine", "--template", "pit", "--schema"),
     "new, copy": ("new", "mine", "--from", "cartpole"),
     "compile, project": ("compile", "cartpole", "--project", "mine"),

@@ -9,12 +9,14 @@ import resource
 from pathlib import PurePosixPath
 
 import pytest
+import yaml
 
 from deepbots_cli import api
 from deepbots_cli.cli.commands import new
 from deepbots_cli.cli.commands.new import Template, write_new
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import UsageError
+from deepbots_cli.scenario.json_schema import schema_text
 from tests.few import few
 
 
@@ -289,3 +291,17 @@ def test_no_file_is_left_where_one_cannot_be_written(tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert not list((tmp_path / "new").iterdir())
+
+
+def test_a_project_has_a_schema_for_its_editor_and_a_workflow_that_lints(deepbots, tmp_path):
+    made = json.loads(deepbots("new", "mine", "--template", "arm", "--project", "work", "--json").out)
+    assert made["files"][:2] == ["work/mine.yaml", "work/mine.urdf"]
+    work = tmp_path / "work"
+    settings = json.loads((work / ".vscode" / "settings.json").read_text())
+    (schema,) = settings["yaml.schemas"]
+    assert json.loads((work / schema).read_text()) == json.loads(schema_text())
+    steps = yaml.safe_load((work / ".github" / "workflows" / "lint.yml").read_text())["jobs"]["lint"]["steps"]
+    lint = steps[-1]["run"].split()
+    assert lint[:2] == ["deepbots", "lint"]
+    assert deepbots("lint", "work", *lint[3:]).code == 0
+    assert deepbots("new", "mine", "other", "--template", "pit", "--project", "work").code == 2

@@ -33,6 +33,28 @@ Files = dict[PurePosixPath, bytes]
 """Contents by path below the folder that they are written to."""
 
 
+_WORKFLOW = """\
+name: lint
+on: [push, pull_request]
+jobs:
+  lint:
+    runs-on: ubuntu-latest
+    steps:
+      - uses: actions/checkout@v4
+      - uses: actions/setup-python@v5
+        with: {python-version: "3.11"}
+      - run: pip install deepbots-cli # or the address of a clone of deepbots
+      - run: deepbots lint . --format github
+"""
+_PROJECT = {
+    ".gitignore": "runs/\n",
+    ".github/workflows/lint.yml": _WORKFLOW,
+    ".vscode/extensions.json": '{"recommendations": ["redhat.vscode-yaml"]}\n',
+    ".vscode/settings.json": '{\n  "yaml.schemas": {"deepbots.schema.json": ["*.yaml"]},\n  "yaml.disableDefaultProperties": true\n}\n',
+}
+"""The files of a project beside its scenario and `deepbots.schema.json`; the second setting leaves out keys that repeat a default."""
+
+
 class Template(StrEnum):
     cartpole = "cartpole"
     wheeled = "wheeled"
@@ -51,6 +73,10 @@ def new(
         str | None, option("--urdf ROBOT", "Robot file to begin with: a path, package://..., or the name of a shipped robot.")
     ] = None,
     schema: Annotated[bool, option("--schema", "Also write NAME.schema.json for completion in an editor.", OUTPUT)] = False,
+    project: Annotated[
+        Path | None,
+        option("--project DIR", "Write a project: scenario, schema, settings of VS Code, and a GitHub workflow that lints.", OUTPUT),
+    ] = None,
     as_json: Json = False,
     force: Force = False,
 ) -> None:
@@ -70,6 +96,7 @@ def new(
       deepbots new mine --template wheeled --schema
       deepbots new reach experiments --template arm
       deepbots new mine --from cartpole
+      deepbots new mine --template wheeled --project my_robot
       deepbots new husky --urdf package://pybullet_data/husky/husky.urdf
 
     Next: `deepbots try mine.yaml` runs random actions, and `deepbots train mine.yaml` trains a policy.
@@ -81,17 +108,24 @@ def new(
         raise UsageError(f"{' and '.join(given)} exclude each other; choose one start")
     if not given:
         raise UsageError(f"choose a start: --template {'|'.join(Template)}, --from SCENARIO, or --urdf ROBOT")
+    if project is not None:
+        if folder != Path(".") or schema:
+            raise UsageError("--project names the folder, and writes a schema for all its scenarios; leave out DIR and --schema")
+        folder = project
     if urdf:
         made = from_robot(urdf, name, folder)
     else:
         made = from_shipped(shipped_name, name) if shipped_name else from_template(template or "", name)
+    if project is not None:
+        made |= {PurePosixPath(path): text.encode() for path, text in _PROJECT.items()}
+        made[PurePosixPath("deepbots.schema.json")] = schema_text().encode()
     kept = _present(made, folder)
     written = write_with_schema(made, folder, force=force) if schema else write_new(made, folder, force=force)
     if urdf:
         terminal.note_warnings(api.lint(written[0]), str(written[0]))
     if not as_json:
         _name_faster_engine(written[0])
-    further = ("try", "inspect", "lint", "train", *(() if schema else ("schema --for",)))
+    further = ("try", "inspect", "lint", "train", *(() if schema or project else ("schema --for",)))
     _show(written, kept, further, as_json=as_json)
 
 
