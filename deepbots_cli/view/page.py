@@ -330,7 +330,7 @@ class Page:
         if self._slider is None:
             seed = gui.add_number("seed", self.seed, min=0, step=1)
             seed.on_update(lambda _: self._tasks.put(lambda: self._set_seed(int(seed.value))))
-        names = player.opened.drivers
+        names = tuple(dict.fromkeys((*player.opened.drivers, player.driver_name)))  # which may be actions
         if len(names) > 1 and self._compare is None:
             driver = gui.add_dropdown("driver", names, initial_value=player.driver_name)
             driver.on_update(lambda _: self._tasks.put(lambda: self._drive(driver.value)))

@@ -243,6 +243,11 @@ def test_a_scenario_with_errors_opens_with_its_findings(tmp_path):
         _run(page, lambda: page.player is not None)
 
 
+def test_actions_to_repeat_drive_the_page_too():
+    with closing(Page(Showing("cartpole"), port=0, driver="forward,backward")) as page:
+        assert page.player.driver_name == "forward,backward"
+
+
 def test_what_cannot_be_opened_is_told(capsys):
     with pytest.raises(UsageError, match="no file, folder or shipped scenario"):
         Page(Showing("nothing_here"), port=0)
