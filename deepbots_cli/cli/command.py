@@ -244,7 +244,8 @@ class Commands(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         if cmd_name not in COMMANDS:
-            near = nearest_word(cmd_name, (*COMMANDS, *REPLACEMENTS)) or ""
+            others = [name for name, meant in REPLACEMENTS.items() if meant.startswith("deepbots ")]
+            near = nearest_word(cmd_name, (*COMMANDS, *others)) or ""
             other = f"the commands are: {', '.join(COMMANDS)}"
             hint = f"use `{REPLACEMENTS[near]}`" if near in REPLACEMENTS else f"did you mean '{near}'?" if near else other
             ctx.fail(f"there is no command '{cmd_name}'; {hint}")
