@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 FAILED_EPISODES = "failed"
 
 
-def episodes_or_failed(text: str, minimum: int = 1) -> int | str:
+def episodes_or_failed(text: str, minimum: int = 1, maximum: int | None = None) -> int | str:
     """A parser: a number, or `failed`."""
-    return text if text == FAILED_EPISODES else whole_number(minimum)(text)
+    return text if text == FAILED_EPISODES else whole_number(minimum, maximum)(text)
 
 
 def command(

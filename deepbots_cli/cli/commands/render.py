@@ -67,6 +67,7 @@ _SUFFIXES_OF: Mapping[str, Sequence[str]] = {
 }
 """The files that an option is for; the others are for all."""
 MAX_SIDE = 4096
+MAX_EPISODES = 10_000
 MAX_FILMS = 10
 """Failed episodes of which a film is made."""
 _CAMERA = "Camera (.png, .mp4, .gif)"
@@ -107,10 +108,10 @@ def command(
         Any,
         option(
             "--episodes N|failed",
-            "With .mcap, record N episodes from --episode on. `failed`: the episodes of the last evaluation of a run that failed; a video"
-            " for each of the first 10, FILE-K.mp4 for episode K.",
+            "N episodes from --episode on, or those of the last evaluation of a run that failed: all in one .mcap, or a video each,"
+            " FILE-K.mp4 for episode K, of at most 10 failed ones.",
             EPISODES,
-            parser=episodes_or_failed,
+            parser=partial(episodes_or_failed, maximum=MAX_EPISODES),
         ),
     ] = None,
     steps: Annotated[
@@ -193,6 +194,8 @@ def command(
     if kind == RECORDING_SUFFIX and opened.kind is SourceKind.RECORDING:
         raise UsageError(f"{shown} is already a recording; `deepbots render {shown} -o video.mp4` makes a video of it")
     run = Run.open(opened) if opened.kind is SourceKind.RUN else None
+    if last and run is None:
+        raise UsageError(f"--last chooses a model of a run, and {shown} is none")
     if episodes == FAILED_EPISODES:
         if run is None or last or any(value is not None for value in (seed, episode, driver)):
             raise UsageError("--episodes failed repeats an evaluation of a run; leave out --seed, --episode, --driver and --last")
@@ -202,7 +205,7 @@ def command(
         root = seed if seed is not None else run.record.seed if run is not None else 0
         wanted = _Episodes(root, range(first, first + (episodes or 1)), "last" if last else "best")
     files = [file]
-    if episodes == FAILED_EPISODES and kind != RECORDING_SUFFIX:
+    if episodes is not None and kind != RECORDING_SUFFIX:
         files = [file.with_name(f"{file.stem}-{number}{file.suffix}") for number in wanted.numbers]
     for made in files:
         pictures.check_target(made, SUFFIXES, force=force)
