@@ -62,10 +62,10 @@ class Choice(NamedTuple):
     doc: str = ""
 
 
-_INCLUDE = Choice("include", CompletionItemKind.Keyword, "a file with the value of this mapping; what stands beside it is merged over it")
+_INCLUDE = Choice("include", CompletionItemKind.Keyword, "a file with the value of this mapping; its other keys are merged over it")
 _FILE_KEYS = {
-    "extends": "another scenario that this one changes: a path, or the name of a shipped one",
-    "remove": "paths to take out of the extended scenario, such as `[observation.tip_speed]`",
+    "extends": "the scenario that this one changes: a path, or the name of a shipped one",
+    "remove": "paths to remove from the extended scenario, such as `[observation.tip_speed]`",
 }
 _VERSION_LINE = Choice(f"deepbots: {VERSION}", CompletionItemKind.Keyword, "the first line of a scenario")
 _CODES = re.compile(r"deepbots:[ \t]*ignore\[(?:[^\]]*,)?[ \t]*([A-Za-z0-9]*)$")
@@ -211,7 +211,7 @@ def _field_choices(view: CursorView, field: FieldType, path: NodePath) -> Iterat
         case FilePath(kind=kind):
             yield from _files(view, _SUFFIXES.get(kind, ()), shipped.ROBOTS if kind == "robot file" else None)
         case Range(auto=True):
-            yield Choice("auto", CompletionItemKind.Keyword, "the range that is known")
+            yield Choice("auto", CompletionItemKind.Keyword, "the known range")
         case Quantity(words=words, urdf=urdf):
             yield from _words((*words, *(("urdf",) if urdf else ())), "a word of the language")
         case FieldType(example=str() as example) if not _is_expression(field):

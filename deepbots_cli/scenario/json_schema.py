@@ -118,7 +118,7 @@ def names_key_of(shape: Shape) -> str:
 
 def json_schema(known: ScenarioNames | None = None) -> Json:
     """The schema (draft 2020-12), in stable order; without names of a scenario it is the committed schema."""
-    sentence = "A file with the value of this mapping; what stands beside it is merged over it.\n\nExample: include: parts/arena.yaml"
+    sentence = "A file with the value of this mapping; its other keys are merged over it.\n\nExample: include: parts/arena.yaml"
     definitions: Json = {"include": {"type": "string", "description": sentence}}
     _Writer(definitions, known or ScenarioNames(), {**_LANGUAGE, **(known.shared if known else {})}).reference(Scenario)
     below = {name: _required(shape) for name, shape in section_fields(Scenario).items() if isinstance(shape, type)}
@@ -154,7 +154,7 @@ _ACROSS_FILES: Json = {
     "extends": OfferedNames(dict.fromkeys(shipped.scenario_names(), "a scenario that comes with deepbots")).added_to(
         {
             "type": "string",
-            "description": "Another scenario that this one changes: a path relative to this file, or the name of a shipped scenario."
+            "description": "The scenario that this one changes: a path relative to this file, or the name of a shipped scenario."
             "\n\nExample: extends: cartpole",
         },
         "a path",
@@ -162,7 +162,7 @@ _ACROSS_FILES: Json = {
     "remove": {
         "type": "array",
         "items": {"type": "string"},
-        "description": "Paths to take out of the extended scenario.\n\nExample: remove: [observation.tip_speed]",
+        "description": "Paths to remove from the extended scenario.\n\nExample: remove: [observation.tip_speed]",
     },
 }
 

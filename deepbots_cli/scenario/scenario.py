@@ -115,7 +115,7 @@ class Robot(Section):
     receive: dict[LocalName, Annotated[Scalar, Expression("receive")]] | None = None
     """Further values that the supervisor sends with the action: names with expressions."""
     emit: Emitted | None = None
-    """What the robot sends in every timestep: sensors, or names with expressions over them. Default: sensors that the supervisor uses."""
+    """Values that the robot sends in each timestep: sensors, or names with expressions. Default: the sensors that the supervisor uses."""
     apply: dict[Annotated[str, Reference("actuator")], Annotated[Scalar, Expression("apply", boolean=False)]] = {}
     """The command of each actuator, from received values and sensors."""
 
@@ -331,7 +331,7 @@ class ScenarioTest(Section):
     key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("driver", "actions"), min=1), KeyCount(("case", "stage")))
 
     driver: Annotated[Annotated[str, Reference("driver")] | None, InsteadOf("policy", "script")] = None
-    """Who acts: a script, `random`, or `zero`, which takes the middle of each range and the first option of each choice."""
+    """Who acts: a script, `random`, or `zero` (the middle of each range and the first option of each choice)."""
     actions: Annotated[Many[Annotated[FixedAction | Choice, FORMS]], Size(1, "action")] | None = None
     """Actions of the first steps; the episode stops after the last of them."""
     episodes: Annotated[int, WholeNumber(1, 1000)] = 1
@@ -450,7 +450,7 @@ class Reset(Section):
     """Start poses of robots and objects. Bodies with coordinates are placed first; the others follow in this order and avoid the bodies
     placed before."""
     joints: Annotated[dict[Annotated[str, Reference("joints")], Annotated[JointState | JointAngle, FORMS]], InsteadOf("set")] = {}
-    """Positions of joints, such as `cart.pole_hinge: uniform(-1 .. 1 deg)`, or of a group."""
+    """Start positions of joints or of groups of joints, such as `cart.pole_hinge: uniform(-1 .. 1 deg)`."""
     layout: Annotated[Mixture | LayoutName, FORMS] | None = None
     """The layout to use, or several layouts with their probabilities, such as `{scattered: 88 %, paper: 12 %}`."""
     layouts: dict[SharedName, Annotated[MapLayout | Places, FORMS]] = {}
