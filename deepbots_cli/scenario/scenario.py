@@ -526,7 +526,7 @@ class Scenario(Section):
     augment: Augmentation = {}
     """Values from the supervisor that the policy may observe, in addition to values that robots send."""
     signals: dict[SharedName, Signal] = {}
-    """Helper values for reward, endings and scripts. The policy should not observe them (DB609)."""
+    """Helper values for reward, endings and scripts. The policy cannot observe them; list values for the policy under `augment`."""
     goal: Goal | None = None
     """The goal of an episode: a value to reach."""
     observation: Annotated[Observation, Size(1, "entry")]
