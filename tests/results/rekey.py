@@ -1,10 +1,11 @@
 """Keys the records of docs/results anew after names in digests have changed.
 
-    (cd OLD; PYTHONPATH=. python -P NEW/tests/results/rekey.py) > known.json
-    python -m tests.results.rekey known.json
+    (cd OLD; PYTHONPATH=. python -P NEW/tests/results/rekey.py centred=centered) > known.json
+    python -m tests.results.rekey centred=centered known.json
 
 OLD is a checkout from before the change. The entries of an experiment that counted there count here, if every program behind the experiment
-has the same generated code in both, and the same random episodes to the bit; else they stay as they are.
+has the same generated code in both, apart from comments and from the names, and the same random episodes to the bit; else they stay as
+they are.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ import hashlib
 import json
 import re
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from deepbots_cli import api
@@ -23,15 +26,18 @@ from tests.results.experiment import Experiment, experiments
 from tests.results.measure import Places, compiled, pieces, put, read
 
 
-def behavior(experiment: Experiment) -> str:
-    """SHA-256 of the code and of two random episodes of what is trained and evaluated, with all cases and stages."""
+def behavior(experiment: Experiment, names: Mapping[str, str] = MappingProxyType({})) -> str:
+    """SHA-256 of what is trained and evaluated, with all cases and stages: the code with new names for old ones, and random episodes."""
     asked = [(experiment.scenario, ()), *((experiment.scenario, training.sets) for training in experiment.trainings)]
     asked += [(wanted.scenario, ()) for training in experiment.trainings for wanted in training.evaluations if wanted.scenario]
     whole = [compiled(scenario, sets) for scenario, sets in dict.fromkeys(asked)]
     found = hashlib.sha256()
     for program in [part for each in whole for part in (each, *(entry.program for entry in (*each.cases, *each.curriculum)))]:
         environment = api.build(program)
-        found.update(re.sub(r"scenario [0-9a-f]{12}\.", "", generate_module(program)).encode())
+        code = re.sub(r"scenario [0-9a-f]{12}\.|  # .*|^ *# .*\n", "", generate_module(program), flags=re.MULTILINE)
+        for old, new in names.items():
+            code = code.replace(old, new)
+        found.update(code.encode())
         found.update(rollout.digest(environment, 0).encode())
         environment.close()
     return found.hexdigest()
@@ -51,12 +57,13 @@ def rewrite(name: str, old: Any, new: Any) -> None:
 
 
 if __name__ == "__main__":
+    names = dict(word.split("=") for word in sys.argv[1:] if "=" in word)
     known = {
-        name: {"behavior": behavior(each), "pieces": {"/".join(piece.keys): list(piece.asked()) for piece in pieces(each, Places())}}
+        name: {"behavior": behavior(each, names), "pieces": {"/".join(piece.keys): list(piece.asked()) for piece in pieces(each, Places())}}
         for name, each in experiments().items()
     }
-    if sys.argv[1:]:
-        for name, old in json.loads(Path(sys.argv[1]).read_text(encoding="utf-8")).items():
+    if files := [word for word in sys.argv[1:] if "=" not in word]:
+        for name, old in json.loads(Path(files[0]).read_text(encoding="utf-8")).items():
             rewrite(name, old, known[name])
     else:
         json.dump(known, sys.stdout)
