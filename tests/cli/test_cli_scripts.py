@@ -129,7 +129,7 @@ def test_inspect_shows_what_each_script_decides(deepbots, scripted):
         {"script": "onward", "action": "drive", "is": "forward"},
         {"script": "catch", "action": "drive", "is": "{forward: cart.pole_angle > 0 rad, backward: true}"},
     ]
-    assert "onward" in deepbots("inspect", scripted).out
+    assert "onward" in deepbots("inspect", scripted, "--full").out
 
 
 def test_compile_prints_a_method_for_each_script(deepbots, scripted):

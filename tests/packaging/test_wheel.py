@@ -71,7 +71,7 @@ def test_an_installed_wheel_uses_its_own_data_from_an_empty_folder(installed: Pa
 from deepbots_cli.cli import main
 from deepbots_cli.document import shipped
 print(shipped.data_dir())
-print([main(words.split()) for words in ("list --json", "lint cartpole", "explain DB402")])
+print([main(words.split()) for words in ("scenarios --json", "lint cartpole", "explain DB402")])
 """
     environment = os.environ | {"PYTHONPATH": str(installed)}
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)

@@ -20,7 +20,6 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, OUTPUT, Overrides, integer, option
 from deepbots_cli.cli.commands import rewriting
 from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
-from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Severity
 from deepbots_cli.diagnostics import Source as SourceText
@@ -206,6 +205,8 @@ def _check_together(wrong: bool, sentence: str) -> None:
 
 def _show_statistics(findings: Sequence[Finding], *, as_json: bool) -> None:
     """A row for each code, the most frequent first."""
+    from deepbots_cli.cli.tables import Row, table  # rich, which nothing else needs here
+
     groups: dict[str, list[Finding]] = {}
     for finding in findings:
         groups.setdefault(finding.code, []).append(finding)
