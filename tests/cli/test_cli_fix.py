@@ -10,8 +10,9 @@ import subprocess
 import pytest
 
 from deepbots_cli.document import shipped
+from tests.named import with_defaults
 
-CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+CARTPOLE = with_defaults(shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole"))
 
 
 def faulty(*changes: tuple[str, str]) -> str:

@@ -9,10 +9,11 @@ import pytest
 
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import install_hint
+from tests.named import with_defaults
 
 pytestmark = pytest.mark.usefixtures("simulated_here")
 
-CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+CARTPOLE = with_defaults(shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole"))
 SUNK = CARTPOLE.replace("z: 0.04 m", "z: 0.02 m")
 STILL = CARTPOLE.replace("x:         position(cart).x", "x:         position(cart).x\n  pull:      2 * fall_angle").replace(
     "  x:               -0.4 .. 0.4 m", "  x: -0.4 .. 0.4 m\n  pull: 0 .. 90 deg"

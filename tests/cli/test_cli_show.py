@@ -272,7 +272,7 @@ def test_drawn_masses_and_frictions_are_shown_as_draws(deepbots):
         "--set",
         "objects.puck={shape: sphere, radius: 2 cm, mass: uniform(0.1 .. 300 g) * 2, friction: uniform(0.4 .. 0.8)}",
         "--set",
-        "reset.place.puck={x: 0.3 m}",
+        "reset.place={puck: {x: 0.3 m}}",
         "--set",
         "robots.cart.links={pole: {mass: urdf * uniform(80 % .. 120 %)}}",
     )
@@ -284,9 +284,9 @@ def test_drawn_masses_and_frictions_are_shown_as_draws(deepbots):
 def test_a_value_on_several_lines_is_shown_as_a_mapping_on_one(deepbots, tmp_path):
     deepbots("new", "cartpole", "--from", "cartpole")
     scenario = tmp_path / "cartpole.yaml"
-    start = "  place: {cart: {z: 0.04 m}}"
+    start = "\nreset:\n"
     assert start in scenario.read_text()
-    scenario.write_text(scenario.read_text().replace(start, "  place:\n    cart:\n      x: 0 m  # the middle\n      z: 0.04 m"))
+    scenario.write_text(scenario.read_text().replace(start, f"{start}  place:\n    cart:\n      x: 0 m  # the middle\n      z: 0.04 m\n"))
     rows = json.loads(deepbots("inspect", "cartpole.yaml", "--json").out)["reset"]
     assert rows[0] == {"reset": "place", "of": "cart", "to": "{x: 0 m, z: 0.04 m}"}
 

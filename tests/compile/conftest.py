@@ -10,6 +10,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import shipped
+from tests.named import with_defaults
 
 RAIL = Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml"
 
@@ -56,7 +57,7 @@ def workshop(tmp_path: Path) -> Workshop:
 @pytest.fixture(scope="session")
 def cartpole() -> Callable[..., str]:
     """The text of the shipped CartPole with pieces exchanged."""
-    text = shipped_text("cartpole")
+    text = with_defaults(shipped_text("cartpole"))
     return lambda *changes: changed(text, *changes)
 
 

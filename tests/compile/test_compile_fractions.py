@@ -19,7 +19,7 @@ PLACES = {
     "the reflectance of a line": "world: {lines: {stripe: {points: [0 0 m, 1 0 m], width: 2 cm, reflectance: SHARE}}}",
     "the lumps of a terrain": "world: {terrain: {type: pit, height: 0.5 m, noise: SHARE}}",
     "the loss of messages": "messages: {to_robot: {loss: SHARE}}",
-    "the shares of layouts": LAYOUTS + "{left: SHARE, right: 1 - SHARE}}\nremove: [reset.place]",
+    "the shares of layouts": LAYOUTS + "{left: SHARE, right: 1 - SHARE}}",
     "a parameter": "parameters: {fall_angle: SHARE * 15 deg}",
     "a condition": "termination: {failure: {lost: cart.pole_angle / rad > SHARE}}",
     "gamma": "train: {gamma: SHARE}",

@@ -66,10 +66,10 @@ local function ask()
   seen.hover = table.concat(vim.api.nvim_buf_get_lines(vim.api.nvim_win_get_buf(floating()), 0, -1, false), "\n")
   vim.api.nvim_win_close(floating(), true)
 
-  go_to("messages: {format: struct}", 9)
-  replace("messages: {format: struct}", "messages:    {format:   struct }")
+  go_to("world: {timestep: 32 ms", 6)
+  replace("world: {timestep: 32 ms", "world:    {timestep:   32 ms ")
   vim.lsp.buf.format()
-  seen.formatted = text():match("messages:[^\n]*")
+  seen.formatted = text():match("world:[^,]*")
 
   vim.lsp.buf.document_symbol({ on_list = function(list) seen.outline = vim.tbl_map(function(item) return item.text end, list.items) end })
   wait("the outline", function() return seen.outline end)

@@ -80,4 +80,4 @@ def test_the_outline_has_sections_and_the_names_in_them(seen: Message) -> None:
 
 
 def test_formatting_makes_what_fmt_makes(seen: Message) -> None:
-    assert seen["formatted"] == "messages: {format: struct}"
+    assert seen["formatted"] == "world: {timestep: 32 ms"

@@ -62,8 +62,8 @@ def test_a_sensor_is_offered_the_keys_of_its_kind_alone(typed: Type, kind: str, 
     [
         ("  drive: {choices: {forward: 1, backward: -1}}", "  drive:\n    §", {"range", "each", "choices", "forbid"}, set()),
         ("{choices: {forward: 1, backward: -1}}", "\n    choices: {a: 1, b: 2}\n    §", {"forbid"}, {"range", "each", "choices"}),
-        ("  place: {cart: {z: 0.04 m}}", "  layouts:\n    one:\n      §", {"map", "cell"}, set()),
-        ("  place: {cart: {z: 0.04 m}}", "  layouts:\n    one:\n      cell: 10 cm\n      §", {"map", "legend"}, {"cell"}),
+        ("\nreset:\n", "\nreset:\n  layouts:\n    one:\n      §\n", {"map", "cell"}, set()),
+        ("\nreset:\n", "\nreset:\n  layouts:\n    one:\n      cell: 10 cm\n      §\n", {"map", "legend"}, {"cell"}),
     ],
     ids=["an action", "a choice", "a layout", "a map"],
 )
@@ -96,7 +96,7 @@ def test_an_algorithm_is_offered_its_own_hyperparameters(typed: Type) -> None:
     ("old", "new", "words"),
     [
         ("format: csv", "format: §", {"csv", "json", "struct", "msgpack", "none"}),
-        ("friction: 1.0", "color: §", {"red", "green", "tan"}),
+        ("size: 1 1 m}", "size: 1 1 m, color: §}", {"red", "green", "tan"}),
         ("urdf: ../robots/urdf/cartpole.urdf", "urdf: §", {"cartpole", "epuck", "rover"}),
         ("algorithm: PPO", "algorithm: SAC\n  replay: §", {"uniform", "her"}),
         ("speed:           -0.8 .. 0.8 m/s", "speed: §", {"auto"}),

@@ -144,9 +144,9 @@ def test_formatting_makes_what_fmt_makes_and_leaves_broken_text_alone(client, pi
     original = client.texts[pit]
     options = {"textDocument": {"uri": pit}, "options": {"tabSize": 4, "insertSpaces": True}}
     assert client.request("textDocument/formatting", options) == []
-    client.change(pit, original.replace("messages: {format: struct}", "messages:    {format:   struct }"))
+    client.change(pit, original.replace("world: {timestep: 32 ms,", "world:    {timestep:   32 ms ,"))
     assert edited(client.texts[pit], client.request("textDocument/formatting", options)) == original
-    client.change(pit, original.replace("messages: {", "messages: {{"))
+    client.change(pit, original.replace("world: {", "world: {{"))
     assert client.request("textDocument/formatting", options) == []
 
 

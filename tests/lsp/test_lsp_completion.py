@@ -29,8 +29,8 @@ def typing(client, pit, project):
         ("timestep: 32 ms, substeps", "timestep: 32 ms, gr¦, substeps", {"gravity", "ground", "arena"}, {"timestep", "substeps", "gyro"}),
         ("{max_time: time_limit}", "{max¦}", {"max_time", "max_steps"}, {"truncation", "episodes"}),
         ("  n_steps: 64\n", "  n_¦\n", {"n_steps", "n_epochs", "clip_range"}, {"buffer_size", "algorithm"}),
-        ("messages: {format: struct}\n", "augment: {at: {value: position(roller).x, ¦}}\n", {"noise"}, {"value", "range"}),
-        ("messages: {format: struct}\n", "mes¦\n", {"messages", "goal", "disturbances"}, {"world", "robots", "timestep"}),
+        ("signals:\n", "augment: {at: {value: position(roller).x, ¦}}\nsignals:\n", {"noise"}, {"value", "range"}),
+        ("signals:\n", "mes¦\nsignals:\n", {"messages", "goal", "disturbances"}, {"world", "robots", "timestep"}),
         ("    apply: {pitch", "    ¦\n    apply: {pitch", {"receive", "groups", "emit"}, {"apply", "urdf", "world"}),
     ],
 )
@@ -43,7 +43,7 @@ def test_keys_are_those_of_the_place_that_are_not_there_yet(typing, old, new, of
 @pytest.mark.parametrize(
     ("old", "new", "offered"),
     [
-        ("messages: {format: struct}", "messages: {format: s¦}", {"struct", "csv", "json", "none"}),
+        ("signals:\n", "messages: {format: s¦}\nsignals:\n", {"struct", "csv", "json", "none"}),
         ("{type: gyro, link", "{type: ¦, link", {"gyro", "accelerometer", "camera"}),
         ("algorithm: PPO", "algorithm: ¦", {"PPO", "SAC", "TD3"}),
         ("terrain: {type: pit,", "terrain: {type: p¦", {"pit", "mesh", "heightfield"}),
@@ -86,7 +86,7 @@ def test_names_of_the_scenario_and_of_its_robot_file_are_offered_where_one_is_du
         ("max_torque: 10 N*m}\n      yaw", "max_torque: 10 N*m¦}\n      yaw", {"m", "mm"}, {"N*m"}),
         ("radius: 2.7 m", "radius: uni¦", {"uniform(", "time_limit"}, {"reach", "delta("}),
         ("norm(position(roller).xy)", "norm(position(roller).¦", {"x", "y", "z", "xy"}, {"radius", "norm("}),
-        ("messages: {format: struct}\n", "augment: {at: {value: pos¦, noise: 2 mm}}\n", {"position("}, {"gyro"}),
+        ("signals:\n", "augment: {at: {value: pos¦, noise: 2 mm}}\nsignals:\n", {"position("}, {"gyro"}),
         ("norm(position(roller).xy)", "norm(2 * position(roller).x¦", {"x", "y", "z"}, {"radius", "norm("}),
         ("reach > radius", "reach > (2 * radius).¦", set(), {"x", "radius"}),
         ("progress: delta(metric)", "progress: 10 wh¦", {"when", "m"}, {"metric"}),

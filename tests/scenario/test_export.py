@@ -191,7 +191,7 @@ FAULTS: dict[str, tuple[str, str, tuple[Step, ...]]] = {
         "joint: pole_hinge, joints: pole_hinge}",
         ("robots", "cart", "sensors", "pole_angle"),
     ),
-    "an unknown color": ("friction: 1.0", "color: rde", ("world", "arena", "color")),
+    "an unknown color": ("arena: {size: 1 1 m", "arena: {size: 1 1 m, color: rde", ("world", "arena", "color")),
 }
 
 
