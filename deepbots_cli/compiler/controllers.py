@@ -103,8 +103,8 @@ class Actuators(NamespaceReader):
                 stiffness = self._scalar_or_randomized(spec, "stiffness", None, dimension=effort / dimension, per_component=names)
                 damping = self._scalar_or_randomized(spec, "damping", None, dimension=effort * TIME / dimension, per_component=names)
                 if spec.damping is not None and spec.stiffness is None:
-                    help = "give `stiffness` too, or leave both to the servo of the engine"
-                    self._values.add_at_key("DB102", (*spec.path, "damping"), "a damping without a stiffness", help)
+                    help = "add `stiffness`, or remove `damping` to use the built-in position control of the engine"
+                    self._values.add_at_key("DB102", (*spec.path, "damping"), "`damping` needs `stiffness`", help)
                 motor = Motor(name, spec.type, names, max_torque, max_velocity, stiffness, damping, response=self._response(spec, names))
             case specs.TorqueMotor():
                 motor = Motor(name, spec.type, names, max_torque, max_velocity, response=self._response(spec, names))
@@ -156,7 +156,7 @@ class Actuators(NamespaceReader):
         for joint in joints:
             reach = joint_interval(joint)
             if not reach.low <= position <= reach.high:
-                text, help = self._values.field(spec, key), f"keep to the limits of `{joint.name}`"
+                text, help = self._values.field(spec, key), f"write a value within the limits of `{joint.name}`"
                 warn_beyond_limits(self._values, text, joint_dimension(joint), reach, "a position of", single(position), help)
                 return
 
@@ -186,7 +186,7 @@ class Actuators(NamespaceReader):
             senses |= dict.fromkeys(members, self._namespace.fixed(spec, "spin", pattern))
         open_ = [link for link in links if link not in senses]
         if open_ and not unknown:
-            self._values.add_at_key("DB102", (*spec.path, "spin"), f"no spin for `{open_[0]}`", "give 1 or -1 for each link")
+            self._values.add_at_key("DB102", (*spec.path, "spin"), f"`spin` has no value for `{open_[0]}`", "write 1 or -1 for each link")
         found_all = [sense for link in links if (sense := senses.get(link)) is not None]
         return tuple(found_all) if len(found_all) == len(links) else None
 
@@ -231,7 +231,7 @@ class Actuators(NamespaceReader):
         known = [each for each in own if each is not None]
         if len(known) == len(own) and limit > max(known) * (1 + 1e-9):
             text, allowed = self._values.field(spec, key), Interval(-math.inf, max(known))
-            help = f"the limit of the robot file applies: lower this one, or raise `{key}` under `joints` if the motor can do more"
+            help = f"deepbots uses the smaller limit: lower this value, or raise `{key}` under `joints` if the motor is stronger"
             warn_beyond_limits(self._values, text, dimension, allowed, "a limit of", single(limit), help)
 
 
@@ -258,7 +258,12 @@ def _pose(name: str, robot: ResolvedRobot, namespace: Namespace) -> Symbol:
         positions |= dict.fromkeys(joints, position or 0.0)
     dimensions = {joint_dimension(robot.model.joint(joint)) for joint in positions}
     if len(dimensions) > 1:
-        values.add_at_key("DB404", (*robot.spec.path, "poses", name), "turning and sliding joints in one pose", "make a pose of each")
+        values.add_at_key(
+            "DB404",
+            (*robot.spec.path, "poses", name),
+            "a pose cannot contain both turning and sliding joints",
+            "write one pose for the turning joints and one for the sliding joints",
+        )
     if not sound or len(dimensions) != 1:
         return Symbol(name, None)
     known = tuple(positions.values())
@@ -416,7 +421,10 @@ class RobotBuilder:
         parts = driven.components or ("",)
         spec = self.robot.spec.actuators[name]
         own = f"{{type: {spec.type}, {'link' if isinstance(spec, specs.Thrust) else 'joint'}: {parts[0]}}}"
-        help = f"one number drives all of them; for a number each, give each an actuator of its own: `{parts[0]}: {own}`"
+        help = (
+            "write one number, which drives all of them; to control each of them separately, define one actuator for each: "
+            f"`{parts[0]}: {own}`"
+        )
         typed = self.values.quantity(text, f"the target of `{name}`", scope, driven.dimension, driven.components, Known.STEP, help)
         if typed is None:
             return None

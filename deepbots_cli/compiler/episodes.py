@@ -77,8 +77,8 @@ def route(direction: Direction, namespace: Namespace) -> Route:
     spec: RouteSpec = getattr(namespace.scenario.messages, direction)
     values = namespace.values
     if namespace.scenario.messages.format == "none" and spec.model_fields_set:
-        help = "choose a format, such as `struct`: without messages the supervisor acts on the robot directly"
-        values.add_at_key("DB407", spec.path, f"`{direction}` without messages", help)
+        help = "choose a format, such as `struct`: with `none`, the supervisor controls the robot directly"
+        values.add_at_key("DB407", spec.path, f"`{direction}` needs messages, but `messages.format` is `none`", help)
         return Route()
     latency, loss, range_ = (_setting(spec, name, namespace) for name in ("latency", "loss", "range"))
     burst = namespace.fixed(spec, "burst", scope=namespace.scope(Context.FIELD))
@@ -87,8 +87,8 @@ def route(direction: Direction, namespace: Namespace) -> Route:
         # Losses in runs of mean length b with at least one message between make up b / (b + 1) of all, at most.
         if burst / (burst + 1.0) < min(highest, 1.0) < 1.0:
             least = f"{highest / (1.0 - highest):.3g}"
-            headline = f"a loss of {100.0 * highest:g} % needs bursts of at least {least} messages on average; `burst` is {burst:g}"
-            values.add("DB105", values.field(spec, "burst").span, headline, f"give a `burst` of at least {least}")
+            headline = f"with a loss of {100.0 * highest:g} %, `burst` must be at least {least} messages, but it is {burst:g}"
+            values.add("DB105", values.field(spec, "burst").span, headline, f"write a `burst` of at least {least}")
     return Route(latency, loss, burst, range_, spec.order, spec.on_loss)
 
 
@@ -114,7 +114,7 @@ def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: SourceText
     if redraw is not None or typed.type.known is not Known.STEP or not contains_draw(typed):
         return redraw is None or redraw.period is None or _is_positive(redraw.period, text, values)
     help = "add `every 5 s` or `each step` to repeat the draw, or define the random value under `parameters`"
-    values.add("DB407", text.span, "a random value combined with a value that changes within the episode", help)
+    values.add("DB407", text.span, "a single random draw cannot be combined with a value that changes within the episode", help)
     return False
 
 
@@ -124,7 +124,7 @@ def _is_positive(period: Typed, text: SourceText, values: ValueReader) -> bool:
     low, high = period.type.interval.low, period.type.interval.high
     if low >= 0.0 and high > 0.0:
         return True
-    values.report(text)("DB105", period.start, period.end, f"a period that can be {low:g} s", "give more than 0")
+    values.report(text)("DB105", period.start, period.end, f"the period can be {low:g} s", "keep it above 0 s")
     return False
 
 
@@ -144,8 +144,8 @@ def _disturbance(name: str, spec: DisturbanceSpec, namespace: Namespace) -> Dist
     if every is not None and duration is not None:
         longest, soonest = duration.typed.type.interval.high, every.typed.type.interval.low
         if longest > soonest * (1 + 1e-9):
-            headline = f"a push may last {longest:g} s, and the next may begin after {soonest:g} s"
-            namespace.values.add("DB105", duration.span, headline, "make it shorter than `every`")
+            headline = f"a push can last {longest:g} s, but the next one can begin after {soonest:g} s"
+            namespace.values.add("DB105", duration.span, headline, "make `duration` shorter than `every`")
     is_broken = any(value is None and getattr(spec, key) is not None for key, value in zip(keys, found, strict=True))
     return None if pushed is None or duration is None or is_broken else Disturbance(name, *pushed, force, torque, first, every, duration)
 
@@ -201,7 +201,7 @@ def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping
     if not part:
         movable = [*(name for name, (kind, _) in robot.groups.items() if kind in _JOINTS), *robot.drivable_joints]
         help = choices_help(key, [f"{key}.{name}" for name in movable]) if movable else "no joint of this robot can move"
-        namespace.values.add("DB203", text.span, f"the robot `{key}` where a joint or a group of joints is needed", help)
+        namespace.values.add("DB203", text.span, f"expected a joint or a group of joints, found the robot `{key}`", help)
         return None
     subject = robot.subject(part, _JOINTS)
     if subject is None or subject.kind not in _JOINTS:
@@ -240,16 +240,16 @@ def _start_value(
     for reach, limits in zip(reached, allowed, strict=True):
         if dimension == subject.dimension and reach.is_finite and not reach.is_within(limits):
             help = "set a position within the limits: an engine pushes the joint back at once"
-            warn_beyond_limits(values, text, dimension, limits, "a start at", reach, help)
+            warn_beyond_limits(values, text, dimension, limits, "an initial position of", reach, help)
             break
     return text.expression(typed, key, per_component=joints if len(joints) > 1 else None)
 
 
 # Before the first step nothing has touched or acted, and no picture was taken.
 _HELP_BEFORE_FIRST_STEP = {
-    **dict.fromkeys(("contact", "collided"), "before the first step nothing has touched; ask for `clearance(...) > 1 cm`"),
-    "joint_torque": "before the first step no motor has acted; remove it",
-    "visible": "the start is chosen before the first picture is taken; use the position of the body, as in `abs(bearing(...)) < 30 deg`",
+    **dict.fromkeys(("contact", "collided"), "contacts are not known before the first step; use `clearance(...) > 1 cm`"),
+    "joint_torque": "remove it: no motor has exerted a torque before the first step",
+    "visible": "no picture exists when the start is drawn; use the position of the body, as in `abs(bearing(...)) < 30 deg`",
 }
 
 
@@ -291,7 +291,7 @@ def _require_places(namespace: Namespace) -> None:
     for name, group in namespace.groups.items():
         if name not in mentioned and namespace.origin(name) is Origin.OBJECT and not namespace.values.is_invalid(name):
             help = f"write where they start, as in `{name}: {{region: arena}}`"
-            namespace.values.add("DB102", group.count.span, f"`reset.place` has no entry for the copies of `{name}`", help)
+            namespace.values.add("DB102", group.count.span, f"`reset.place` does not place the copies of `{name}`", help)
 
 
 def _requirement(namespace: Namespace) -> Expression | None:
@@ -306,9 +306,11 @@ def _requirement(namespace: Namespace) -> Expression | None:
     for call in walk(typed):
         if isinstance(call, Invocation) and call.function in _HELP_BEFORE_FIRST_STEP:
             span = text.part(call.start, call.start + len(call.function))
-            values.add("DB407", span, f"`{call.function}` in a requirement on the start", _HELP_BEFORE_FIRST_STEP[call.function])
+            values.add("DB407", span, f"`{call.function}` cannot be used in `reset.require`", _HELP_BEFORE_FIRST_STEP[call.function])
     if constant_values(typed) == (False,):
-        values.add("DB105", text.span, "no start can meet this requirement", "use a condition on positions or distances")
+        values.add(
+            "DB105", text.span, "this requirement is always false", "write a condition on positions or distances that some starts meet"
+        )
     return text.expression(typed)
 
 
@@ -321,7 +323,7 @@ def settling_time(namespace: Namespace, timestep: float) -> float:
         values.add("DB308", span, headline, "write a multiple of the timestep")
     if settle / timestep * namespace.scenario.world.substeps > MAX_SETTLING_STEPS:
         headline = f"the settling time of {settle:g} s takes more than {MAX_SETTLING_STEPS:,} physics steps in every reset"
-        values.add("DB105", span, headline, "a few seconds are usual")
+        values.add("DB105", span, headline, "write a shorter time; a few seconds are usual")
     return settle
 
 
@@ -346,7 +348,7 @@ def python_term(name: str, given: PythonTerm, namespace: Namespace, *, boolean: 
 _MAX_SHOWN_CHARACTERS = 60
 MAX_ENDINGS = 200
 """Whatever is paid is held against every one of them."""
-NO_SUCCESS_DEFINED = "a success rate, but the scenario defines no success"
+NO_SUCCESS_DEFINED = "a success rate needs a success, but the scenario does not define one"
 
 
 class Signals(NamespaceReader):
@@ -432,8 +434,8 @@ def _reward_value(text: SourceText, namespace: Namespace) -> Typed | None:
     report = namespace.values.report(text)
     typed = namespace.values.expression(text, SupervisorScope(namespace, Context.REWARD))
     if typed is not None and typed.type.boolean:
-        help = f"give it a value, as in `1 when {text.text if len(text.text) <= _MAX_SHOWN_CHARACTERS else '...'}`"
-        worth = "a truth value where a number belongs"
+        help = f"write the reward for it, as in `1 when {text.text if len(text.text) <= _MAX_SHOWN_CHARACTERS else '...'}`"
+        worth = "expected a number, found a truth value"
         report("DB403", 0, len(text.text), worth, help, Replacement(f"1 when {text.text}", safe=False))
         return None
     return typed and expect_value(typed, report, "a reward", dimension=NUMBER)
@@ -446,7 +448,7 @@ def truncation(namespace: Namespace) -> Truncation:
         if not values.is_invalid("truncation"):
             key = "termination" if "termination" in namespace.scenario.model_fields_set else "reward"
             help = "add `truncation: {max_steps: 1000}`, or a `max_time`"
-            values.add_at_key("DB803", (key,), "no condition is certain to end an episode", help)
+            values.add_at_key("DB803", (key,), "an episode may never end", help)
         return Truncation()
     steps = namespace.fixed(limits, "max_steps")
     return Truncation(None if steps is None else int(steps), namespace.fixed(limits, "max_time"))

@@ -76,18 +76,18 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
             ramp = read_schedule(given) if isinstance(given, str) else None
             hyperparameters.append(Hyperparameter(name, Schedule(*ramp) if ramp else given))
             if name == "learning_rate" and isinstance(rate := max(ramp) if ramp else given, int | float) and rate > _MAX_LEARNING_RATE:
-                headline = f"a learning rate of {rate:g}, at which a network rarely learns"
-                values.add("DB505", ("train", name), headline, "usual rates are 1e-5 to 1e-2, such as `3e-4`")
+                headline = f"a learning rate of {rate:g} is unusually high"
+                values.add("DB505", ("train", name), headline, "write a rate from 1e-5 to 1e-2, such as `3e-4`")
     replay = _hindsight(own.get("replay"), namespace)
     starts = own.get("learning_starts")
     if replay is not None and starts is not None and longest_episode is not None:
         longest = longest_episode * spec.train.environments * (copies.count if copies else 1)
         if starts < longest:
             headline = (
-                f"learning begins after {starts:,} steps, and possibly no episode is complete by then:"
-                " hindsight samples goals from complete episodes"
+                f"learning begins after {starts:,} steps, but the first episode may not be complete by then, and hindsight samples "
+                "goals from complete episodes"
             )
-            values.add("DB105", ("train", "learning_starts"), headline, f"give at least {longest:_}")
+            values.add("DB105", ("train", "learning_starts"), headline, f"set `learning_starts` to at least {longest:_}")
     return Training(
         spec.train.algorithm,
         spec.train.total_timesteps,
@@ -122,13 +122,19 @@ def _check_algorithm(train: TrainingSpec, action: Action, namespace: Namespace) 
     algorithm, acts_by = train.algorithm, train.acts_by
     intervals = [part for part in action if isinstance(part, ActionRange)]
     if acts_by == {"choice"} and (intervals or len(action) > 1):
-        headline, help = f"{algorithm} needs one choice as its action", "use PPO, or give the action as `choices`"
+        headline, help = f"{algorithm} supports only a single discrete action", "use PPO, or define one action with `choices`"
     elif "ranges" not in acts_by and intervals:
-        headline, help = f"`{algorithm}` cannot use a range: it chooses between options", "use PPO, or give the action as `choices`"
+        headline, help = f"`{algorithm}` supports only discrete actions", "use PPO, or define one action with `choices`"
     elif acts_by == {"ranges"} and len(intervals) < len(action):
-        headline, help = f"{algorithm} cannot choose between options", "use PPO or DQN, or give the action as a range"
+        headline, help = (
+            f"{algorithm} supports only continuous actions",
+            "use PPO or DQN, or define the action as a range, such as `-1 .. 1`",
+        )
     elif intervals and len(intervals) < len(action):
-        headline, help = "no algorithm acts by both choices and ranges", "give the ranges as choices, or the choices as ranges"
+        headline, help = (
+            "no algorithm supports choices and ranges in the same agent",
+            "define every action with `choices`, or every action as a range",
+        )
     elif not train.uses_masks and any(isinstance(part, DiscreteAction) and part.forbid for part in namespace.scenario.action.values()):
         headline, help = f"{algorithm} ignores `forbid`", "use MaskablePPO, or remove `forbid`"
     else:
@@ -160,7 +166,12 @@ def compile_variants(
     if count > MAX_VARIANTS or count * size > MAX_VALUES:
         many = f"more than {MAX_VARIANTS}" if count > MAX_VARIANTS else str(count)
         scenario = "" if count > MAX_VARIANTS else f" of a scenario with {size:,} values"
-        values.add_at_key("DB005", ("curriculum",) if spec.curriculum else ("evaluation", "cases"), f"{many} cases and stages{scenario}")
+        values.add_at_key(
+            "DB005",
+            ("curriculum",) if spec.curriculum else ("evaluation", "cases"),
+            f"{many} cases and stages{scenario} are too many",
+            "use fewer cases and stages",
+        )
         return (), program
     compiler.check_order(spec)
     cases = [
@@ -248,23 +259,23 @@ class _VariantCompiler:
         parameters = self._values.root.get("parameters")
         if head not in _FIXED_SECTIONS or (isinstance(parameters, MappingNode) and entry.key.text in parameters.entries):
             return False
-        help = "it may change the world, the reset, the reward, the endings and the parameters"
-        self._values.add("DB407", entry.key.span, f"a {word} that changes `{head}`", help)
+        help = f"remove this change; a {word} can change the world, the reset, the reward, the endings and the parameters"
+        self._values.add("DB407", entry.key.span, f"a {word} cannot change `{head}`", help)
         return True
 
     def _admits_same_policy(self, program: Program, word: VariantKind, name: str, here: Span) -> bool:
         """Whether a policy for the scenario itself can act in this one, else after a finding."""
-        lines = identity.differences(self._base, program, words=("elsewhere", "here"))
+        lines = identity.differences(self._base, program, words=("in the scenario", f"in this {word}"))
         if word == "stage" and program.world.timestep != self._base.world.timestep:
-            lines.append(f"timestep: elsewhere {self._base.world.timestep:g} s, here {program.world.timestep:g} s")
+            lines.append(f"timestep: in the scenario {self._base.world.timestep:g} s, in this {word} {program.world.timestep:g} s")
         if program.engine != self._base.engine:
-            help = "`deepbots eval RUN --engine mujoco,pybullet` evaluates a policy in both"
-            self._values.add("DB407", here, f"the {word} `{name}` changes `world.engine`", help)
+            help = "remove the change; to evaluate a policy in both engines, use `deepbots eval RUN --engine mujoco,pybullet`"
+            self._values.add("DB407", here, f"the {word} `{name}` cannot change `world.engine`", help)
             return False
         if lines:
             timestep = "the timestep, " if word == "stage" else ""
             kept = f"{timestep}the observation, the action or the messages"
-            help = f"a {word} may change the world, but not {kept}: they must not depend on its `set`"
+            help = f"change only the world in a {word}; {kept} must be the same as in the scenario"
             for robot, base in zip(program.robots, self._base.robots, strict=True):
                 if len(robot.emit) > len(base.emit):  # without an `emit`, as otherwise they would be equal
                     listed = ", ".join(field.name for field in robot.emit)
@@ -353,8 +364,8 @@ class _Reader(NamespaceReader):
             elif isinstance(part, ActionRange) and isinstance(decision, ScriptedRange):
                 numbers = [number for value in decision.values for number in constant_values(value.typed) or (math.nan,)]
                 if not all(map(math.isfinite, numbers)):
-                    help = "give fixed values, or write a script under `scripts`"
-                    self._values.add("DB407", place, f"`{part.name}` is not the same in every episode", help)
+                    help = "write fixed values, or use a script from `scripts`"
+                    self._values.add("DB407", place, f"the value of `{part.name}` must be the same in every episode", help)
                     return None
                 middle, half = (part.high + part.low) / 2, (part.high - part.low) / 2
                 shares = [min(max((number - middle) / half, -1.0), 1.0) for number in numbers]
@@ -370,8 +381,8 @@ class _Reader(NamespaceReader):
         steps = min(own, self._program.truncation.max_episode_steps(period), len(driver) if isinstance(driver, tuple) else own)
         total = steps * self._program.action_repeat * spec.episodes
         if total > MAX_STEPS and self._program.truncation != Truncation():
-            help = "give fewer `episodes`, or a smaller `max_steps` or `max_time`"
-            self._values.add_at_key("DB105", spec.path, f"a test of {total:_} timesteps, which is more than {MAX_STEPS:_}", help)
+            help = "lower `episodes`, `max_steps` or `max_time`"
+            self._values.add_at_key("DB105", spec.path, f"the test takes {total:_} timesteps; the limit is {MAX_STEPS:_}", help)
         return steps
 
     # What is expected
@@ -384,7 +395,11 @@ class _Reader(NamespaceReader):
                 text = self._values.field(spec, key)
                 bounds = self._bounds(spec, key)
                 if not endings.get(key, True) and not any(map(self._values.is_invalid, ("success", "failure", "termination", "goal"))):
-                    headline = NO_SUCCESS_DEFINED if key == "success_rate" else "a failure rate, but the scenario defines no failure"
+                    headline = (
+                        NO_SUCCESS_DEFINED
+                        if key == "success_rate"
+                        else "a failure rate needs a failure, but the scenario does not define one"
+                    )
                     help = f"add a condition under `termination.{key.removesuffix('_rate')}`, or expect something else, such as `ends_by`"
                     self._values.add("DB407", text.span, headline, help)
                 if bounds is not None:
@@ -413,8 +428,8 @@ class _Reader(NamespaceReader):
             return None
         low, high = (*known, math.inf)[:2]
         if key != "mean_return" and not (0 <= low <= 1 and (high == math.inf or 0 <= high <= 1)):
-            help = "a rate is from 0 to 1, or from 0 to 100 %"
-            self._values.add("DB105", text.span, f"{called} is {text.text}, which no episodes can reach", help)
+            help = "write a number from 0 to 1, or a percentage such as `90 %`"
+            self._values.add("DB105", text.span, f"{called} is {text.text}, but a rate is between 0 and 1", help)
             return None
         return low, high
 

@@ -155,7 +155,9 @@ class Namespace:
         called = f"`{text.path[-1]}`"
         typed = self.values.quantity(text, called, scope, dimension, components, known)
         if typed is not None and typed.type.known is not Known.FIXED:
-            self.values.add("DB108", text.span, f"{called} that is drawn anew is not supported yet", "give a fixed number")
+            self.values.add(
+                "DB108", text.span, f"{called} must be fixed: random and changing values are not supported here yet", "write a fixed number"
+            )
             return None
         return self._si_values(typed, text, len(components or ("",))) if typed else None
 
@@ -297,8 +299,8 @@ class Namespace:
         if of is not None:
             self.colors[:] = [each for each in self.colors if each.of != of]  # as for a link that two patterns mean
         if len(options) > 1 and of is None:
-            help = "it must be the same in every episode; give one color"
-            self.values.add("DB407", text.span, "a random value for a color that must be fixed", help)
+            help = "write one color for all episodes"
+            self.values.add("DB407", text.span, "this color must be fixed, but the value is random", help)
         elif len(options) > 1 and of is not None:
             single = Type(known=Known.EPISODE)
             ends = tuple(Constant(single, 0, 0, (end,)) for end in (0.0, len(options) - 1.0))
@@ -373,8 +375,8 @@ class Namespace:
 
     def _report_too_deep(self, definition: Definition) -> None:
         """More names build on each other than can be followed: none of them is looked at again."""
-        headline = f"`{definition.name}` is made of more than {len(self._being_resolved) // 2} definitions, one upon the other"
-        self.values.add_at_key("DB005", definition.path, headline, "write some of them out in the others")
+        headline = f"`{definition.name}` depends on a chain of more than {len(self._being_resolved) // 2} definitions"
+        self.values.add_at_key("DB005", definition.path, headline, "replace some names in the chain by their expressions")
         for entry in self._being_resolved:
             entry.symbol = entry.symbol or Symbol(entry.name, None)
         self._being_resolved.clear()
@@ -456,7 +458,7 @@ AFTER_SIGNALS = (Context.REWARD, Context.ENDING, Context.TEST)
 _NON_NEGATIVE = Interval(0.0, float("inf"))
 _END_FLAGS = ("terminated", "truncated", "ended")
 _PAST_REWARDS = ("previous_reward", "episode_return")
-GOAL_AFTER_SIGNALS_MESSAGE = "the goal is computed after the signals, and only endings and rewards can use it"
+GOAL_AFTER_SIGNALS_MESSAGE = "the goal is computed after the signals; use it only in endings and rewards"
 _BUILT_IN = ("time", "step", "previous_action", "goal_reached", *_PAST_REWARDS, *_END_FLAGS)
 
 
@@ -525,7 +527,7 @@ class SupervisorScope(_Scope):
         if name in self.namespace.built_in:
             return self.namespace.built_in[name](self.context)
         if name in _END_FLAGS:
-            refused = None if self.context is Context.REWARD else "it is settled after the endings, and seen by rewards only"
+            refused = None if self.context is Context.REWARD else "it is computed after the endings; use it only in rewards"
             return Symbol(name, Type(boolean=True, known=Known.STEP) if refused is None else None, refusal=refused)
         if name == "goal_reached":
             return Symbol(name, None, refusal=None if self.namespace.is_invalid("goal") else "this scenario has no `goal`")
@@ -559,11 +561,13 @@ class RobotScope(_Scope):
             if symbol is None or symbol.type is None or symbol.type.known is Known.FIXED:
                 return symbol
             if not arrives:
-                return Symbol(name, None, refusal=f"the robot cannot know a drawn parameter; send it: `receive: {{{name}: {name}}}`")
+                return Symbol(
+                    name, None, refusal=f"the robot cannot read a random parameter; send it to the robot: `receive: {{{name}: {name}}}`"
+                )
         if arrives:
             return Symbol(name, None, refusal="a robot cannot send back a value that it receives; use the value in `apply`")
         if name in _BUILT_IN or origin in (Origin.AUGMENT, Origin.SIGNAL, Origin.ENDING, Origin.FIELD):
-            known = f"robot `{self.robot}` knows only its sensors and messages"
+            known = f"robot `{self.robot}` can use only its sensors and messages"
             return Symbol(name, None, refusal=f"{known}; to send it `{name}`, write `receive: {{{name}: {name}}}`")
         return self.namespace.symbol(name)
 

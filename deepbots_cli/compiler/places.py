@@ -56,8 +56,8 @@ class PlacementChecker(NamespaceReader):
         copies = self.copies(place)
         if arena is not None and needed > min(arena.size):
             size = f"{needed:.3g} m{'' if is_fixed else ' with its clearance'}"
-            headline = f"`{place.body}` needs {size}, and the arena is {min(arena.size):.3g} m wide"
-            self._values.add("DB105", span, headline, "give a larger arena, or less clearance")
+            headline = f"`{place.body}` needs {size}, but the arena is only {min(arena.size):.3g} m wide"
+            self._values.add("DB105", span, headline, "use a larger arena, or less clearance")
         elif arena is not None and any(
             region.low[axis] > arena.size[axis] / 2 - needed / 2 or region.high[axis] < needed / 2 - arena.size[axis] / 2 for axis in (0, 1)
         ):
@@ -65,10 +65,10 @@ class PlacementChecker(NamespaceReader):
             self._values.add("DB105", span, headline, "move the region into the arena, whose center is the origin")
         elif region.mesh and (cells := int(width / region.mesh + 1e-9) * int(depth / region.mesh + 1e-9)) < copies:
             headline = f"the grid has {cells} cells for {'one body' if copies == 1 else f'up to {copies} copies'}"
-            self._values.add_at_key("DB105", (*path, "grid"), headline, "give a larger region, or a smaller `grid`")
+            self._values.add_at_key("DB105", (*path, "grid"), headline, "use a larger region, or a smaller `grid`")
         elif arena is not None and copies * (area := min(kind.area for kind in kinds)) > arena.size[0] * arena.size[1]:
-            headline = f"{copies} copies of {area:.3g} m^2 cannot stand in {arena.size[0] * arena.size[1]:.3g} m^2"
-            self._values.add("DB105", span, headline, "give a larger arena, or fewer copies")
+            headline = f"{copies} copies that need {area:.3g} m^2 each do not fit into an arena of {arena.size[0] * arena.size[1]:.3g} m^2"
+            self._values.add("DB105", span, headline, "use a larger arena, or fewer copies")
 
     def check_surroundings(self, common: Sequence[Placement], layouts: Sequence[Layout]) -> None:
         """What stands around leaves no room in any layout: the top that a body shall stand on, or a body that covers its region."""
@@ -94,10 +94,10 @@ class PlacementChecker(NamespaceReader):
             return  # the circle is reported once, of the first of its bodies
         if below is not None and below.body == place.body:
             notes = (f"the circle is {' -> '.join((*stack, place.body))}",) if len(stack) > 1 else ()
-            self._values.add("DB207", span, f"`{place.body}` stands on itself", "place one of them on the ground", notes=notes)
+            self._values.add("DB207", span, f"`{place.body}` is placed on itself", "place one body of the cycle on the ground", notes=notes)
             return
         if any(_coordinate(support, turn) != 0.0 for turn in ("roll", "pitch")):
-            self._values.add("DB203", span, f"the top of `{spot.of}` is not level", "place it upright, without `roll` and `pitch`")
+            self._values.add("DB203", span, f"the top of `{spot.of}` is not level", f"remove `roll` and `pitch` of `{spot.of}`")
             return
         kinds = self._footprints(place)
         top = footprint.shape_footprint(next(thing.shape for thing in self._world.objects if thing.name == spot.of))
@@ -112,18 +112,18 @@ class PlacementChecker(NamespaceReader):
                 *(["less clearance"] if margin else []),
                 *(["another `yaw`"] if any(_fits(top, kind, None, margin) for kind in kinds) else []),
             ]
-            help = " or ".join(["give a larger top", *ways])
+            help = " or ".join(["use a larger body below", *ways])
             if min(kind.area for kind in kinds) > _MAX_AREA_RATIO * top.area:
                 help = f"check the unit of the size of `{place.body}`"
             self._values.add("DB105", span, f"{covers} does not fit on the top of `{spot.of}` ({_size(top)}){turned}", help)
         elif kinds and not _is_tilted(place) and copies * (area := min(kind.area for kind in kinds)) > top.area:
-            headline = f"{copies} copies of {area:.3g} m^2 cannot stand on the {top.area:.3g} m^2 of `{spot.of}`"
-            self._values.add("DB105", span, headline, "give a larger top, or fewer copies")
+            headline = f"{copies} copies that need {area:.3g} m^2 each do not fit on the {top.area:.3g} m^2 of `{spot.of}`"
+            self._values.add("DB105", span, headline, "use a larger body below, or fewer copies")
         elif spot.region is not None and (patch := _patch(support, top)) is not None and _misses(spot.region, patch):
             reach_x, reach_y = patch.half_extents
             sides = f"x = {patch.x - reach_x:g} .. {patch.x + reach_x:g} m and y = {patch.y - reach_y:g} .. {patch.y + reach_y:g} m"
             help = f"leave out `region` to use the whole top, which covers {sides}"
-            self._values.add_at_key("DB105", (*path, "region"), f"no position in the region is on the top of `{spot.of}`", help)
+            self._values.add_at_key("DB105", (*path, "region"), f"the region lies outside the top of `{spot.of}`", help)
 
     def _check_covered(self, place: Placement, region: Region, standing: Mapping[str, Placement], path: NodePath) -> None:
         """DB105 where a body that stands at known coordinates covers the whole region, so that no spot of it is ever free.
@@ -285,8 +285,8 @@ class Places(NamespaceReader):
         elif pose.region is not None:
             place = replace(place, spot=self._region(pose))
         elif pose.grid is not None:
-            help = "give the region of the grid: `region: arena`"
-            self._values.add_at_key("DB102", (*pose.path, "grid"), "a grid without a region", help)
+            help = "add one, as in `region: arena`"
+            self._values.add_at_key("DB102", (*pose.path, "grid"), "`grid` needs a `region`", help)
         self._check_spots(place.spot, pose.path)
         if isinstance(place.spot, Region) and used:
             self._room.check_region(place, place.spot, pose.path)
@@ -338,8 +338,8 @@ class Places(NamespaceReader):
         if self._namespace.origin(name) is None:
             self._values.report_unknown(span, "object", name, flat)
         elif name not in flat and not self._values.is_invalid(name):
-            headline = f"`{name}` has no flat top that a body could stand on"
-            self._values.add("DB203", span, headline, f"name a single, solid box or cylinder{f', such as `{flat[0]}`' if flat else ''}")
+            headline = f"`{name}` has no flat top to place a body on"
+            self._values.add("DB203", span, headline, f"use a single, solid box or cylinder{f', such as `{flat[0]}`' if flat else ''}")
         if name not in flat or (pose.region is not None and (region := self._region(pose)) is None):
             return None
         return Top(name, region if pose.region is not None else None, self._namespace.fixed(pose, "grid"))
@@ -356,7 +356,7 @@ class Places(NamespaceReader):
             self._values.report_unknown(span, "region", str(pose.region), ["arena"])
         elif self._spec.world.arena is None:
             if not self._values.is_invalid("world.arena"):
-                self._values.add("DB201", span, "the world has no arena", "give the region as `{x: -1 .. 1 m, y: -1 .. 1 m}`")
+                self._values.add("DB201", span, "the world has no arena", "write the region as `{x: -1 .. 1 m, y: -1 .. 1 m}`")
         elif arena is not None:
             half_x, half_y = arena.size[0] / 2, arena.size[1] / 2
             return Region((-half_x, -half_y), (half_x, half_y), mesh)
@@ -368,7 +368,7 @@ class Places(NamespaceReader):
             spot = Region((-reach, -reach), (reach, reach), spot.mesh)
         if isinstance(spot, Region) and spot.spots > MAX_SPOTS:
             headline = f"the region has {spot.spots:,.0f} cells; the limit is {MAX_SPOTS:,}"
-            self._values.add("DB005", (*path, "grid"), headline, "give a coarser grid")
+            self._values.add("DB005", (*path, "grid"), headline, "write a larger `grid`")
 
     def _check_copies(self, place: Placement, path: NodePath, *, used: bool) -> None:
         """Keys that only groups know; copies of a group that would stand within each other."""
@@ -379,8 +379,8 @@ class Places(NamespaceReader):
             return
         for key, spec in (("at_most", place.at_most is not None), ("spacing", any(place.spacing))):
             if spec and not self._values.is_invalid(place.body):
-                headline = f"`{key}` applies to groups only, and `{place.body}` is a single body"
-                self._values.add_at_key("DB203", (*path, key), headline, "groups are bodies with a `count`")
+                headline = f"`{key}` applies only to groups, but `{place.body}` is a single body"
+                self._values.add_at_key("DB203", (*path, key), headline, f"remove it, or add a `count` to `{place.body}`")
 
     def _check_spread(self, place: Placement, copies: int, path: NodePath) -> None:
         """DB105 where up to so many `copies` stand at the same coordinates."""
@@ -389,7 +389,7 @@ class Places(NamespaceReader):
         known = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
         is_fixed = all(constant_values(coordinate.typed) is not None for coordinate in known)
         if copies > 1 and is_fixed and place.spot is None and not any(place.spacing):
-            help = "draw their positions with `region`, place them in a row with `spacing`, or place `at_most: 1`"
+            help = "draw the positions with `region`, place the copies in a row with `spacing`, or keep one copy with `at_most: 1`"
             self._values.add_at_key("DB105", path, f"up to {copies} copies of `{place.body}` at one position", help)
 
 
@@ -417,7 +417,7 @@ class Layouts(NamespaceReader):
         spec, layouts = self._spec.reset.layout, self._spec.reset.layouts
         shares = self._shares() if isinstance(spec, dict) else {spec: 1.0} if spec is not None else dict.fromkeys(list(layouts)[:1], 1.0)
         if spec is None and len(layouts) > 1:
-            help = f"name one layout, as in `layout: {next(iter(layouts))}`, or give several with their shares"
+            help = f"write one layout, as in `layout: {next(iter(layouts))}`, or several with their probabilities"
             self._values.add_at_key("DB102", ("reset", "layouts"), "missing key `layout`", help)
         for name in shares:
             if name not in layouts:
@@ -486,16 +486,16 @@ class Layouts(NamespaceReader):
     def _is_even(self, rows: list[list[tuple[str, Span]]]) -> bool:
         for row in rows[1:]:
             if len(row) != len(rows[0]):
-                headline = f"this row has {len(row)} cells, and the first row has {len(rows[0])}"
-                self._values.add("DB106", row[0][1], headline, "write a dot for each empty cell, and blanks between cells")
+                headline = f"this row has {len(row)} cells, but the first row has {len(rows[0])}"
+                self._values.add("DB106", row[0][1], headline, "separate cells by spaces, and write a dot for an empty cell")
                 return False
         return True
 
     def _check_size(self, width: float, depth: float, path: NodePath) -> None:
         arena = self._world.arena
         if arena is not None and (width > arena.size[0] + 1e-9 or depth > arena.size[1] + 1e-9):
-            headline = f"the map is {width:g} by {depth:g} m, and the arena is {arena.size[0]:g} by {arena.size[1]:g} m"
-            self._values.add_at_key("DB105", path, headline, "give smaller cells, or a larger arena")
+            headline = f"the map is {width:g} by {depth:g} m, but the arena is only {arena.size[0]:g} by {arena.size[1]:g} m"
+            self._values.add_at_key("DB105", path, headline, "use smaller cells, or a larger arena")
 
     def _standing(
         self, layout: str, body: str, cell: float, spots: tuple[tuple[float, float], ...], path: NodePath, *, used: bool

@@ -50,7 +50,7 @@ from deepbots_cli.program.world import MAX_BODIES
 from deepbots_cli.scenario.scenario import ContinuousAction, DiscreteAction, Observed
 from deepbots_cli.scenario.scenario import Goal as GoalSpec
 
-_NOT_YET = 'remove it; docs/language.md lists under "Not yet" what is not supported'
+_NOT_YET = 'remove it; see "Not yet" in docs/language.md for what is not supported'
 _UNSUPPORTED_WITH_COPIES: tuple[tuple[NodePath, str], ...] = (
     (("goal",), "a goal"),
     (("world", "terrain"), "terrain"),
@@ -76,13 +76,13 @@ def copies(namespace: Namespace) -> RobotCopies | None:
     robot_spec = spec.robots[name]
     count = namespace.fixed(robot_spec, "count")
     if robot_spec.spacing is None and not values.is_invalid("spacing"):
-        help = f"give the distance between copies, as in `robots.{name}.spacing: 0 0.5 0 m`"
+        help = f"write the distance between copies, as in `robots.{name}.spacing: 0 0.5 0 m`"
         values.add("DB102", ("agent", "each"), f"the copies of `{name}` have no `spacing`", help)
     spacing = namespace.triple(robot_spec, "spacing")
     if count is None or spacing is None:
         return None
     if not 1 <= count <= MAX_BODIES:
-        values.add("DB105", values.field(robot_spec, "count").span, f"{count:g} copies", f"give 1 to {MAX_BODIES}")
+        values.add("DB105", values.field(robot_spec, "count").span, f"{count:g} copies", f"write 1 to {MAX_BODIES}")
         return None
     return RobotCopies(name, int(count), spacing)
 
@@ -146,7 +146,7 @@ class Actions(NamespaceReader):
             always = {option for part, option, condition in found if part == name and constant_values(condition.typed) == (True,)}
             if always == set(part.choices):
                 headline = f"every option of `{name}` is always forbidden"
-                self._values.add_at_key("DB105", (*part.path, "forbid"), headline, "leave one that may be chosen")
+                self._values.add_at_key("DB105", (*part.path, "forbid"), headline, "change `forbid` so that at least one option is allowed")
         return found
 
     def _last_action_symbol(self, context: Context) -> Symbol:
@@ -160,7 +160,7 @@ class Actions(NamespaceReader):
         if not parts:
             written = self._values.root.get("action")  # of which findings may have left nothing
             has_some = (isinstance(written, MappingNode) and written.entries) or self._values.is_invalid("action")
-            return Symbol(name, None, refusal=None if has_some else "the agent does nothing in this scenario")
+            return Symbol(name, None, refusal=None if has_some else "the scenario defines no `action`")
         if len(parts) < len(self._parts):
             return Symbol(name, None)
         components = action_names(parts)
@@ -192,7 +192,7 @@ class Actions(NamespaceReader):
             return (number() or 0.0,)
         missing = [variable for variable in variables if variable not in given]
         if missing:
-            headline = f"the option `{place[-1]}` does not assign `{missing[0]}`, and other options do"
+            headline = f"the option `{place[-1]}` does not assign `{missing[0]}`, but other options do"
             self._values.add_at_key("DB102", place, headline, f"add `{missing[0]}: 0`, or another value")
         found = {variable: number(variable) for variable in given}
         return tuple(found.get(variable) or 0.0 for variable in variables)
@@ -266,7 +266,7 @@ class Observations(NamespaceReader):
             return None
         if not isinstance(tree, syntax.Name):
             self._values.add(
-                "DB103", text.span, "an expression where a name is needed", "name the expression under `augment`, and observe that name"
+                "DB103", text.span, "expected a name, found an expression", "define the expression under `augment`, and write its name here"
             )
             return None
         name = tree.parts[0]
@@ -296,8 +296,8 @@ class Observations(NamespaceReader):
     def _bounds(self, typed: Typed, text: SourceText) -> Bounds | None:
         count, picture = len(typed.type.components or ("",)), typed.type.picture
         if text.text != "auto" and (picture or typed.type.boolean):
-            what, seen = ("picture", "a pixel is a number from 0 to 255") if picture else ("truth value", "it is seen as 0 or 1")
-            self._values.add("DB403", text.span, f"a range for a {what}", f"write `auto`: {seen}")
+            what, seen = ("picture", "a pixel is a number from 0 to 255") if picture else ("truth value", "the policy reads it as 0 or 1")
+            self._values.add("DB403", text.span, f"a {what} cannot have a range", f"write `auto`: {seen}")
             return None
         if picture:
             return (), ()
@@ -306,7 +306,7 @@ class Observations(NamespaceReader):
         if text.text == "auto":
             low, high = typed.type.interval.low, typed.type.interval.high
             if not (math.isfinite(low) and math.isfinite(high) and low < high):
-                self._values.add("DB102", text.span, "the range of this value is not known", "give it: `lo .. hi unit`")
+                self._values.add("DB102", text.span, "deepbots cannot determine the range of this value", "write it, as in `-1 .. 1 m`")
                 return None
             return (low,) * count, (high,) * count
         scope, components = self._namespace.scope(Context.FIXED), typed.type.components or None
@@ -320,7 +320,7 @@ class Observations(NamespaceReader):
         for found, limit, what in ((seen, MAX_OBSERVED_NUMBERS, "numbers"), (pixels, MAX_OBSERVED_BYTES, "bytes of pictures")):
             if found > limit:
                 headline = f"the observation has {found:,} {what}; the limit is {limit:,}"
-                self._values.add_at_key("DB105", ("observation",), headline, "shorten its histories, or the stack of the agent")
+                self._values.add_at_key("DB105", ("observation",), headline, "lower `history` of its entries, or `agent.frame_stack`")
 
     def _check_pictures(self, entries: tuple[Observation, ...]) -> None:
         """Whether the network that is trained can see the pictures: its three layers of filters must fit in.
@@ -333,11 +333,17 @@ class Observations(NamespaceReader):
                 continue
             rows, columns, channels = picture[0], picture[1], picture[2] * entry.history * self._spec.agent.frame_stack
             if min(rows, columns) < MIN_IMAGE_SIDE:
-                headline = f"pictures of {columns} x {rows} pixels, where the network needs {MIN_IMAGE_SIDE} x {MIN_IMAGE_SIDE}"
+                headline = (
+                    f"the pictures have {columns} x {rows} pixels, but the network needs at least {MIN_IMAGE_SIDE} x {MIN_IMAGE_SIDE}"
+                )
                 self._values.add("DB612", entry.value.span, headline, "raise the `resolution` of the camera")
             elif channels >= min(rows, columns):
-                headline = f"pictures of {columns} x {rows} pixels with {channels} channels in all, more than the sides have pixels"
-                self._values.add("DB612", entry.value.span, headline, "shorten the history, or raise the `resolution`")
+                headline = (
+                    f"the pictures have {channels} channels in all, which must be fewer than the pixels of a side ({columns} x {rows})"
+                )
+                self._values.add(
+                    "DB612", entry.value.span, headline, "lower `history` or `frame_stack`, or raise the `resolution` of the camera"
+                )
 
     def _check_keys(self, entries: tuple[Observation, ...]) -> None:
         """Pictures stand under keys of their own, in which a dot is an underscore."""
@@ -345,8 +351,8 @@ class Observations(NamespaceReader):
         for entry in entries:
             key = entry.value.name.replace(".", "_")
             if entry.value.typed.type.picture and key in taken:
-                headline = f"the picture `{entry.value.name}` would stand under the key `{key}`, which is taken"
-                self._values.add("DB202", entry.value.span, headline, "send it under another name")
+                headline = f"the picture `{entry.value.name}` needs the key `{key}` of the observation, but this key is already used"
+                self._values.add("DB202", entry.value.span, headline, "rename the picture")
             taken |= {key} if entry.value.typed.type.picture else set()
 
 
@@ -380,8 +386,8 @@ class Goals(NamespaceReader):
             ends = self._namespace.ends(spec, "range", what="the range of a goal", dimension=kind.dimension, components=kind.components)
         if self._spec.agent.action_repeat > 1:
             span = self._values.field(self._spec.agent, "action_repeat").span
-            help = "remove `action_repeat`, and make the timestep longer"
-            self._values.add("DB709", span, "a reward over several timesteps, which hindsight cannot recompute", help)
+            help = "remove `action_repeat`, and use a longer timestep instead"
+            self._values.add("DB709", span, "hindsight cannot recompute a reward over several timesteps", help)
         _check_rewards(rewards, self._namespace)
         if achieved is None or desired is None or ends is None or within is None:
             return None
@@ -421,8 +427,8 @@ def _check_rewards(terms: Iterable[Expression], namespace: Namespace) -> None:
     """A finding for each term that hindsight cannot recompute."""
     for term in terms:
         if term.foreign is not None:
-            help = "write an expression of `achieved` and `desired`"
-            namespace.values.add("DB709", term.span, "a reward in Python, which hindsight cannot recompute", help)
+            help = "write the reward as an expression of `achieved` and `desired`"
+            namespace.values.add("DB709", term.span, "hindsight cannot recompute a reward in Python", help)
         for odd in _parts_besides_goal(term.typed):
             text = namespace.values.text(tuple(term.owner.split(".", 1)), term.text)
             headline = f"the term `{term.name}` depends on values other than the goal"
@@ -471,7 +477,7 @@ class Decisions(NamespaceReader):
             self._values.report_unknown(self._values.key_span((*place, part)), "action", part, self._names)
         for part in self._names:
             if part not in given and not strange and not self._values.is_invalid(part):
-                self._values.add_at_key("DB102", place, f"{description} does not decide `{part}`", self._example(part))
+                self._values.add_at_key("DB102", place, f"{description} sets no value for `{part}`", self._example(part))
         decided = {part: self._decision((*place, part), self._parts[part], given[part]) for part in self._parts if part in given}
         parts = [decided.get(part) for part in self._names]
         return tuple(part for part in parts if part is not None) if all(parts) else None
@@ -482,7 +488,7 @@ class Decisions(NamespaceReader):
             case Choices(options=options) if options:
                 return f"name an option, as in `{name}: {options[0].name}`"
             case ActionRange(low=low, high=high, unit=unit):
-                return f"give a value, as in `{name}: {f'{(low + high) / 2:g} {unit}'.removesuffix(' 1')}`"
+                return f"write a value, as in `{name}: {f'{(low + high) / 2:g} {unit}'.removesuffix(' 1')}`"
             case _:
                 return None
 
@@ -505,8 +511,8 @@ class Decisions(NamespaceReader):
             self._values.report_unknown(self._values.key_span((*place, name)), f"component of `{part.name}` called", name, part.components)
         for name in part.components:
             if name not in given and not strange:  # otherwise it probably stands there under another name
-                headline = f"{self._called} does not decide `{name}` of `{part.name}`"
-                self._values.add("DB102", key, headline, "give a value for each component, or one for all")
+                headline = f"{self._called} sets no value for `{name}` of `{part.name}`"
+                self._values.add("DB102", key, headline, "write a value for each component, or one value for all of them")
         aims = [self._aim((*place, name), part, given[name], None) for name in part.components if name in given]
         found = tuple(aim for aim in aims if aim is not None)
         return ScriptedRange(found, len(part.components)) if len(found) == len(part.components) else None
@@ -525,8 +531,8 @@ class Decisions(NamespaceReader):
     def _option(self, place: NodePath, part: Choices, word: str) -> ScriptedChoice | None:
         span, options = self._values.span(place), [option.name for option in part.options]
         if not _WORD.fullmatch(word):
-            help = f"name one option, or write a condition for each: `{{{options[0]}: x > 0 m, {options[-1]}: true}}`"
-            self._values.add("DB103", span, f"an expression where an option of `{part.name}` is needed", help)
+            help = f"write the name of one option, or a condition for each: `{{{options[0]}: x > 0 m, {options[-1]}: true}}`"
+            self._values.add("DB103", span, f"expected an option of `{part.name}`, found an expression", help)
         elif word not in options and self._values.is_invalid("action"):
             return None  # it may be an option of the action that has a finding
         elif word not in options:
@@ -538,7 +544,9 @@ class Decisions(NamespaceReader):
     def _pick(self, place: NodePath, part: Choices, given: Mapping[str, object]) -> ScriptedChoice | None:
         """The first option whose condition holds; one of the conditions must hold always, and nothing stands behind it."""
         if len(given) > MAX_CONDITIONS:
-            self._values.add_at_key("DB005", place, f"more than {MAX_CONDITIONS} conditions")
+            self._values.add_at_key(
+                "DB005", place, f"more than {MAX_CONDITIONS} conditions", "combine conditions with `or`, or split the script"
+            )
             return None
         options, branches, broken = [option.name for option in part.options], [], False
         for option, condition in given.items():
@@ -552,7 +560,7 @@ class Decisions(NamespaceReader):
             return None
         always = next((index for index, (_, holds) in enumerate(branches) if constant_values(holds.typed) == (True,)), None)
         if always is None:
-            headline = f"the script can leave `{part.name}` without an option: no condition is always true"
+            headline = f"the script may choose no option of `{part.name}`: none of its conditions is always true"
             self._values.add_at_key("DB102", place, headline, f"make the last condition true: `{branches[-1][0]}: true`")
             return None
         otherwise = branches[always][0]

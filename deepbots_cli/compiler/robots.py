@@ -132,8 +132,8 @@ def report_missing_joint(values: ValueReader, span: Span, pattern: str, model: R
 def report_follower(values: ValueReader, span: Span, joint: str, model: RobotModel) -> None:
     """DB303 for a joint that follows another one where one is moved on its own."""
     leader = model.followers[joint].joint
-    help = f"name `{leader}`, which moves both; a pattern or a group leaves `{joint}` out"
-    values.add("DB303", span, f"the joint `{joint}` follows `{leader}`, and is not moved on its own", help)
+    help = f"use `{leader}`, which moves both joints; patterns and groups skip `{joint}`"
+    values.add("DB303", span, f"the joint `{joint}` follows `{leader}` and cannot be moved on its own", help)
 
 
 def report_motionless_joint(values: ValueReader, span: Span, joint: Joint, known: Sequence[str]) -> None:
@@ -162,7 +162,7 @@ def warn_beyond_limits(
         return low if low == high else f"{low} .. {high}"
 
     limits = allowed if allowed.low > -math.inf else single(allowed.high)
-    headline = f"{what} {in_unit(found)} {unit.text}, where the robot file allows {in_unit(limits)}"
+    headline = f"{what} {in_unit(found)} {unit.text}, but the robot file allows {in_unit(limits)} {unit.text}"
     values.add("DB304", text.span, headline, help, fix=_within(text, numbers, allowed))
 
 
@@ -220,7 +220,7 @@ _CONTACT: Mapping[str, tuple[str, LinkParameter]] = {
 }
 
 
-_UNKNOWN = Symbol("urdf", None, refusal="the robot file does not say")
+_UNKNOWN = Symbol("urdf", None, refusal="the robot file does not state this value")
 
 
 @dataclass(frozen=True)
@@ -280,7 +280,7 @@ class Overrides:
 
     def _change_density(self, model: RobotModel, link: str, change: LinkOverride) -> RobotModel:
         if change.mass is not None:
-            self.values.add_at_key("DB202", (*change.path, "density"), "`mass` and `density` both set the mass", "give one of the two")
+            self.values.add_at_key("DB202", (*change.path, "density"), "`mass` and `density` cannot be combined", "keep one of the two")
             return model
         density = self.namespace.fixed(change, "density", scope=self._scope(), known=Known.EPISODE)
         return self._accepted(model, with_density(model, link, density), change, "density") if density else model
@@ -291,7 +291,7 @@ class Overrides:
         of, scope = OfLink(self.robot, link.name), self._scope(MASS, link.inertial.mass if link.inertial else None)
         mass = self.namespace.scalar_or_randomized(change, "mass", "mass", of, None, scope=scope)
         if mass == 0 and not self.namespace.is_randomized("mass", of):
-            self.values.add("DB105", self.values.field(change, "mass").span, "`mass` is 0 kg", "give more than 0 kg")
+            self.values.add("DB105", self.values.field(change, "mass").span, "`mass` is 0 kg", "write more than 0 kg")
         return self._accepted(model, with_mass(model, link.name, mass), change, "mass") if mass else model
 
     def _accepted(self, old: RobotModel, new: RobotModel | str, change: LinkOverride, key: str) -> RobotModel:
@@ -324,8 +324,8 @@ class Overrides:
     def _range(self, joint: Joint, limit: Limit, change: JointOverride) -> Limit:
         """`limit` with both ends as the scenario gives them."""
         if joint.type == "continuous":
-            span, headline = self.values.field(change, "range").span, "a range for a joint that the robot file calls continuous"
-            self.values.add("DB203", span, headline, "make it revolute in the robot file")
+            span, headline = self.values.field(change, "range").span, "a continuous joint cannot have a range"
+            self.values.add("DB203", span, headline, "remove `range`, or change the type of the joint to revolute in the robot file")
             return limit
         scope, dimension = self.namespace.scope(Context.FIELD), joint_dimension(joint)
         ends = self.namespace.ends(change, "range", what="the range of a joint", dimension=dimension, scope=scope)
@@ -382,7 +382,12 @@ class ResolvedRobot:
         names = self._named(spec, key, known, values)
         joints = tuple(self.model.joint(name) for name in names)
         if len({joint_dimension(joint) for joint in joints}) > 1:
-            values.add("DB404", (*spec.path, key), "turning and sliding joints together", "name them apart")
+            values.add(
+                "DB404",
+                (*spec.path, key),
+                "this list contains both turning and sliding joints",
+                "use one sensor or actuator for the turning joints, and another one for the sliding joints",
+            )
             return ()
         return joints
 

@@ -55,7 +55,7 @@ class SensorsCompiler(NamespaceReader):
         for count, limit, what in ((rays, MAX_SENSED_RAYS, "rays"), (values, MAX_OBSERVED_BYTES, "bytes of pictures")):
             if count > limit:
                 headline = f"the sensors of `{self._robot.name}` have {count:,} {what}; the limit is {limit:,}"
-                help = "use fewer: the robot reads all of them in every timestep"
+                help = "use fewer rays or smaller pictures: the robot reads all its sensors in every timestep"
                 self._values.add_at_key("DB005", (*self._robot.spec.path, "sensors"), headline, help)
 
     def _add(self, name: str, spec: SensorSpec) -> None:
@@ -114,8 +114,8 @@ class SensorsCompiler(NamespaceReader):
     def _with_ray_reach(self, sensor: Sensor, spec: RaySensor, faults: NoiseModel | None) -> Sensor:
         """The sensor with rays that go to the end of its range."""
         if "range" not in spec.model_fields_set and not self._values.is_invalid("range"):
-            headline = f"the range of `{sensor.name}` is not known"
-            self._values.add_at_key("DB102", spec.path, headline, "give its `range: 0 .. 1 m`, or a `lookup`")
+            headline = f"the range of `{sensor.name}` is missing"
+            self._values.add_at_key("DB102", spec.path, headline, "add a range, as in `range: 0 .. 1 m`, or a `lookup`")
         reach = max(faults.high) if faults and faults.high else 0.0
         if faults and faults.high and reach <= 0.0:
             span, headline = self._values.span((*spec.path, "range")), f"a range that ends at {reach:g} m"
@@ -170,7 +170,7 @@ def _intrinsics(namespace: Namespace, spec: Camera) -> CameraIntrinsics | None:
             return None
         (near,), (far,) = ends.low, ends.high
     if fov is not None and fov >= math.pi:
-        values.add("DB105", values.span((*spec.path, "fov")), f"the angle of view is {math.degrees(fov):g} deg", "give less than 180 deg")
+        values.add("DB105", values.span((*spec.path, "fov")), f"the angle of view is {math.degrees(fov):g} deg", "write less than 180 deg")
         return None
     return CameraIntrinsics(int(size[0]), int(size[1]), fov, spec.channels, near, far) if size and fov else None
 
@@ -208,11 +208,11 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
     if spec.angle_range is None:
         if count > 1 and not values.is_invalid("angle_range"):
             help = "add `angle_range: 90 .. -90 deg`, or give each ray by name, as in `rays: {left: {yaw: 30 deg}}`"
-            values.add("DB102", (*spec.path, "rays"), f"{count} rays have no directions", help)
+            values.add("DB102", (*spec.path, "rays"), f"the directions of the {count} rays are missing", help)
         if count > 1:
             return None
         return {"": Pose()} if spec.rays is None else {"r0": Pose()}
-    ends = namespace.ends(spec, "angle_range", what="the fan", falling=True)
+    ends = namespace.ends(spec, "angle_range", what="`angle_range`", falling=True)
     if ends is None:
         return None
     (first,), (last,) = ends.low, ends.high
@@ -238,8 +238,8 @@ def _lookup(namespace: Namespace, spec: TableSpec) -> tuple[CalibrationTable, Di
     distance = columns["distance"]
     for key, column in columns.items():
         if len(column) != len(distance):
-            headline = f"`{key}` has {len(column)} numbers, and `distance` has {len(distance)}"
-            values.add("DB106", (*spec.path, key), headline, "give one for each distance")
+            headline = f"`{key}` has {len(column)} numbers, but `distance` has {len(distance)}"
+            values.add("DB106", (*spec.path, key), headline, "write one number for each distance")
     falling = [(a, b) for a, b in pairwise(distance) if b <= a]
     distances, noises = values.span((*spec.path, "distance")), columns.get("noise", ())
     if falling:
@@ -248,9 +248,9 @@ def _lookup(namespace: Namespace, spec: TableSpec) -> tuple[CalibrationTable, Di
         values.add("DB105", distances, headline, "sort the distances, and their values with them")
     elif distance[0] < 0.0 or distance[-1] <= 0.0:
         headline = f"the distance {min(distance[0], distance[-1]):g} m is not allowed"
-        values.add("DB105", distances, headline, "give distances of at least 0; the last one must be greater than 0")
+        values.add("DB105", distances, headline, "write distances of at least 0; the last one must be greater than 0")
     elif noises and min(noises) < 0.0:
-        values.add("DB105", (*spec.path, "noise"), f"the noise is {min(noises):g}", "give 0 or more")
+        values.add("DB105", (*spec.path, "noise"), f"the noise is {min(noises):g}", "write 0 or more")
     return (CalibrationTable(distance, columns["value"], noises), dimension) if len(values.findings) == found else None
 
 
@@ -311,7 +311,7 @@ def _resolution(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[fl
     steps = namespace.numbers(spec, "resolution", dimension=known.dimension, components=known.components)
     if steps and any(0.0 < step < MIN_RESOLUTION for step in steps):
         values, headline = namespace.values, f"`resolution` is {min(step for step in steps if step > 0.0):g}"
-        values.add("DB105", (*spec.path, "resolution"), headline, f"give at least {MIN_RESOLUTION:g}, or remove it")
+        values.add("DB105", (*spec.path, "resolution"), headline, f"write at least {MIN_RESOLUTION:g}, or remove it")
     return steps if steps and all(steps) else ()
 
 
@@ -336,5 +336,5 @@ def _with_period(faults: NoiseModel | None, namespace: Namespace, spec: SensorSp
         headline = f"the period of {seconds:g} s is not a multiple of the timestep of {timestep:g} s"
         values.add("DB308", span, headline, "write a multiple of the timestep")
     elif ticks > MAX_TICKS:
-        values.add("DB105", span, f"the period is {ticks:,} timesteps", f"give at most {MAX_TICKS:,} timesteps")
+        values.add("DB105", span, f"the period is {ticks:,} timesteps", f"write at most {MAX_TICKS:,} timesteps")
     return replace(faults or NoiseModel(), period=ticks) if ticks > 1 else faults

@@ -249,7 +249,7 @@ class ValueReader:
                 help += f"; {parser.COPIES_HELP}" if _COPY.search(hidden[1]) else ""
             word = self._word_replacement(text, piece) if code == "DB402" else None
             if word and not (help or "").startswith("did you mean"):
-                help, replacement = f"did you mean `{word}`? {help}", Replacement(word, safe=False)
+                help, replacement = f"write the word `{word}`, or a value; {help}", Replacement(word, safe=False)
             fix = Fix.replacing(span, piece, replacement.text, safe=replacement.safe) if replacement else None
             written = [("parameters", name) for name in names if self.is_present(("parameters", name))]
             labels = tuple(Label(self.span(path), f"`{path[1]}` is set here") for path in written)
@@ -342,14 +342,14 @@ class ValueReader:
         low, high = (min(known), max(known)) if known else (value.type.interval.low, value.type.interval.high)
         minimum, maximum, unit = kind.minimum, kind.maximum, str(value.type.dimension)
         if minimum is not None and math.isfinite(low) and (low < minimum or (kind.exclusive and low == minimum)):
-            odd, help = low, f"give {'more than' if kind.exclusive else 'at least'} {_with_unit(minimum, unit)}"
+            odd, help = low, f"write {'more than' if kind.exclusive else 'at least'} {_with_unit(minimum, unit)}"
         elif maximum is not None and math.isfinite(high) and high > maximum:
-            odd, help = high, f"give at most {_with_unit(maximum, unit)}"
+            odd, help = high, f"write at most {_with_unit(maximum, unit)}"
         elif kind.whole and known and (broken := [number for number in known if not float(number).is_integer()]):
-            odd, help = broken[0], "give a whole number"
+            odd, help = broken[0], "write a whole number"
         else:
             return True
-        verb = "can be" if known is None else "is" if len(known) == 1 else "holds"
+        verb = "can be" if known is None else "is" if len(known) == 1 else "contains"
         self.add("DB105", text.span, f"{what} {verb} {_with_unit(odd, unit)}", help)
         return False
 
@@ -357,7 +357,7 @@ class ValueReader:
         """The SI values of a value that is settled in the file; a finding where they cannot be computed."""
         values = constant_values(value)
         if values is None:
-            help = "it divides by zero, leaves the domain of a function, or is too large"
+            help = "correct it: the expression divides by zero, leaves the domain of a function, or gives too large a number"
             self.add("DB105", text.span, f"{what} cannot be computed", help)
         return values
 
@@ -380,7 +380,7 @@ class ValueReader:
         count = len(components) if components else 1
         lows, highs = (tuple(map(float, ends * count if len(ends) == 1 else ends)) for ends in (low, high))
         if not falling and any(high <= low for low, high in zip(lows, highs, strict=True)):
-            self.add("DB105", text.span, "an empty range", "give two different ends")
+            self.add("DB105", text.span, "both ends of the range are equal", "write two different ends")
             return None
         return RangeEnds((bounds.high if is_bare_zero(bounds.low) else bounds.low).type.dimension, lows, highs)
 

@@ -107,7 +107,7 @@ def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -
         values.add("DB301", place, loaded.headline, loaded.help)
         return None
     if 0.0 in factors:
-        values.add("DB105", (*spec.path, "scale"), "a mesh that is scaled to nothing", "give factors other than 0")
+        values.add("DB105", (*spec.path, "scale"), "a mesh cannot be scaled by 0", "write factors other than 0")
         return None
     namespace.files[place] = found
     made = Mesh(str(loaded[0]), loaded[1], factors)
@@ -176,7 +176,7 @@ def _points(spec: world_spec.Line | world_spec.Wall, namespace: Namespace) -> tu
         if one == other:
             after = (index + 1) % len(points)
             headline = "two points in a row are the same" if after else "the last point repeats the first point"
-            help = "leave one of them out" if after else "leave it out; `closed: true` joins the ends"
+            help = "leave one of them out" if after else "remove it; `closed: true` already joins the ends"
             namespace.values.add("DB105", namespace.values.span((*spec.path, "points", after or index)), headline, help)
             return None
     return tuple(points)
@@ -261,10 +261,10 @@ def _formula(given: world_spec.Formula, size: tuple[float, float], namespace: Na
         if not (isinstance(found, Const) and abs(found.value) < _MAX_HEIGHT_M):
             place = f"at x = {x:g} m, y = {y:g} m"
             if isinstance(found, Const) and math.isfinite(found.value):
-                headline, help = f"the ground is {found.value:g} m high {place}", "give heights between -10 km and 10 km"
+                headline, help = f"the ground is {found.value:g} m high {place}", "write heights between -10 km and 10 km"
             else:
-                headline = f"the ground has no height {place}"
-                help = "correct `heights`: it divides by zero, leaves the domain of a function, or is too large"
+                headline = f"the height of the ground cannot be computed {place}"
+                help = "correct `heights`: the expression divides by zero, leaves the domain of a function, or gives too large a number"
             values.add("DB105", text.span, headline, help)
             return None
     return Formula(heights, size)
@@ -327,7 +327,7 @@ def _variant(kind: str, given: world_spec.ShapedBody, thing: world_spec.VariedOb
     """A form that a body may take: what it does not say of itself, the object says for all; its values are fixed."""
     for key in _OF_ALL:
         if getattr(given, key) is not None:
-            help = f"give `{key}` for all variants, beside `one_of`"
+            help = f"write one `{key}` for all variants, next to `one_of`"
             namespace.values.add_at_key("DB108", (*given.path, key), f"`{key}` of one variant is not supported yet", help)
     made = shape(given, namespace)
     massive, rough, painted, still = (given if getattr(given, key) is not None else thing for key in ("mass", "friction", "color", "fixed"))
@@ -377,7 +377,7 @@ def _mass(thing: world_spec.Material, made: Shape, of: OfLink, namespace: Namesp
 def _usual_mass(made: Shape, thing: world_spec.Material, namespace: Namespace, *, still: bool) -> float:
     """The mass (kg) of the same volume of water; a mesh that can move needs a mass of its own."""
     if isinstance(made, Mesh) and not still:
-        namespace.values.add_at_key("DB102", thing.path, "a mesh that can move has no `mass`", "give its `mass`, or write `fixed: true`")
+        namespace.values.add_at_key("DB102", thing.path, "a movable mesh needs a `mass`", "add `mass`, or write `fixed: true`")
     return _WATER_DENSITY * (volume(made) or 0.0)
 
 
@@ -432,7 +432,7 @@ def _check_timestep(timestep: float, spec: world_spec.World, namespace: Namespac
     )
     if code:
         span = namespace.values.field(spec, "timestep").span
-        namespace.values.add(code, span, f"the timestep is {timestep:g} s", "10 to 100 ms are usual")
+        namespace.values.add(code, span, f"the timestep is {timestep:g} s", "write a timestep of 10 to 100 ms, which is usual")
 
 
 def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) -> None:

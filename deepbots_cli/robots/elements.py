@@ -104,7 +104,7 @@ class Element:
         """The first child called `tag`; further ones are reported and not read."""
         found = self.find_all(tag)
         for extra in found[1:]:
-            extra.warn(f"a further <{tag}> in the same <{self.tag}> is not read", help="remove it")
+            extra.warn(f"deepbots ignores a second <{tag}> in the same <{self.tag}>", help="remove it")
         return found[0] if found else None
 
     def require_one(self, tag: str) -> Element | None:
@@ -158,7 +158,7 @@ class Element:
             words = self._as_pybullet_reads(words, name, size)
         wrong = next((word for word in words if not _NUMBER.fullmatch(word)), None)
         if wrong is not None:
-            help = "numbers are apart by blanks, without commas" if "," in wrong else None
+            help = "separate numbers by spaces, without commas" if "," in wrong else None
             self.error(f"{quoted(wrong)} is not a finite number", attribute=name, help=help)
             return stand_in
         if len(words) != size:
@@ -182,10 +182,10 @@ class Element:
             return words
         odd = next((word for word, number in zip(words, plain, strict=True) if word != number), None)
         if odd is not None:
-            headline = f"{quoted(odd)} is not a number; {odd.rstrip(',.')} is read, as in PyBullet"
+            headline = f"{quoted(odd)} is not a number; deepbots reads {odd.rstrip(',.')}, as PyBullet does"
             self.warn(headline, attribute=name, help=f'write {name}="{" ".join(plain)}"')
         if size == 3 and len(plain) == 4:
-            headline = f"'{name}' needs 3 numbers, not 4; the first 3 are read, as in PyBullet"
+            headline = f"'{name}' needs 3 numbers, not 4; deepbots reads the first 3, as PyBullet does"
             self.warn(headline, attribute=name, help=f'write {name}="{" ".join(plain[:3])}"')
             return plain[:3]
         return plain
@@ -196,7 +196,11 @@ class Element:
         found = _OPTENV.fullmatch(value.strip())
         if found is None:
             return value
-        self.warn("a xacro substitution that has not been expanded", attribute=name, help=f"its default is read: {found[1]}")
+        self.warn(
+            "a xacro substitution is not expanded",
+            attribute=name,
+            help=f"expand it with xacro; until then deepbots uses its default, {found[1]}",
+        )
         return found[1]
 
 

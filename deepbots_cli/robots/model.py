@@ -427,7 +427,7 @@ def with_mass(model: RobotModel, link: str, mass: float) -> RobotModel | str:
     """The link with `mass` kg; its inertia grows in proportion, as if the material were denser."""
     old = model.link(link)
     if old.inertial is None or old.inertial.mass <= 0:
-        return f"link {link!r} has no mass in its robot file that could be changed"
+        return f"the mass of link {link!r} cannot be changed, because the robot file states none"
     if not (math.isfinite(mass) and mass > 0):
         return f"the mass of link {link!r} must be above 0"
     tensor = scaled_matrix(old.inertial.matrix, mass / old.inertial.mass)
@@ -439,10 +439,10 @@ def with_density(model: RobotModel, link: str, density: float) -> RobotModel | s
     old = model.link(link)
     shapes = old.collisions or old.visuals
     if len(shapes) != 1:
-        return f"link {link!r} has {len(shapes)} shapes, and a density needs exactly one; give its `mass`"
+        return f"link {link!r} has {len(shapes)} shapes, but a density needs exactly one; write its `mass` instead"
     shape = shapes[0].shape
     if isinstance(shape, Mesh) and shape.path.lower().endswith(".dae"):
-        return f"the mesh of link {link!r} is a COLLADA file, whose volume is not read; give its `mass`"
+        return f"the mesh of link {link!r} is a COLLADA file, and deepbots does not compute its volume; write its `mass` instead"
     inertial = homogeneous_inertial(shape, density * (volume(shape) or 0.0), shapes[0].origin)
     return with_link(model, replace(old, inertial=inertial, density=density if inertial is None else None))
 
@@ -489,7 +489,7 @@ def with_scale(model: RobotModel, link: str, scale: Vector) -> RobotModel | str:
     inertia is exact for any distribution of mass, since the second moments transform linearly.
     """
     if not all(math.isfinite(factor) and factor > 0 for factor in scale):
-        return f"link {link!r} can only be stretched by numbers above 0"
+        return f"the scale of link {link!r} must be above 0"
     old = model.link(link)
     what = "visual"
     try:
@@ -497,7 +497,7 @@ def with_scale(model: RobotModel, link: str, scale: Vector) -> RobotModel | str:
         what = "collision"
         collisions = tuple(_stretched(geometry, scale) for geometry in old.collisions)
     except _ShapeError as error:
-        return f"a {what} shape of link {link!r} cannot follow this stretch: {error}"
+        return f"a {what} shape of link {link!r} cannot be scaled like this: {error}"
     inertial = _stretched_inertial(old.inertial, scale) if old.inertial else None
     children = {
         joint.name: replace(joint, origin=replace(joint.origin, xyz=_along(joint.origin.xyz, scale)))
@@ -530,7 +530,7 @@ def _stretched(old: Geometry, scale: Vector) -> Geometry:
     """The shape's own axes stay at right angles exactly if S is diagonal in them."""
     own = rotate_tensor(diagonal(scale), transposed(rotation_matrix(old.origin.rpy)))
     if max(abs(own[0][1]), abs(own[0][2]), abs(own[1][2])) > _ALIGNMENT_TOLERANCE * max(scale):
-        raise _ShapeError("it is turned against the axes of the link, which would make it oblique")
+        raise _ShapeError("it is rotated relative to the axes of the link, so scaling would skew it")
     shape = _stretched_shape(old.shape, (own[0][0], own[1][1], own[2][2]))
     return Geometry(shape, replace(old.origin, xyz=_along(old.origin.xyz, scale)), old.color)
 

@@ -210,7 +210,7 @@ def _check_words(root: Element) -> None:
         match = nearest_word(word, known.split(), 0.75)
         if match:
             what = "attribute" if attribute else "element"
-            element.warn(f"the {what} {quoted(word)} is not read", attribute=attribute, help=f"did you mean {match!r}?")
+            element.warn(f"deepbots ignores the {what} {quoted(word)}", attribute=attribute, help=f"did you mean {match!r}?")
 
 
 def _named(root: Element, tag: str) -> dict[str, Element]:
@@ -224,7 +224,7 @@ def _named(root: Element, tag: str) -> dict[str, Element]:
             element.error(f"the name {quoted(name)} is longer than {MAX_NAME} characters", attribute="name")
             continue
         if not name.isprintable():
-            element.error(f"the name {quoted(name)} holds characters that cannot be printed", attribute="name")
+            element.error(f"the name {quoted(name)} contains characters that cannot be printed", attribute="name")
             continue
         first = found.setdefault(name, element)
         if first is not element:
@@ -267,7 +267,9 @@ def _color(material: Element) -> Color | None:
         return None
     color = element.rgba()
     if any(not 0 <= part <= 1 for part in color):
-        element.warn("a color outside 0 to 1 is cut off", attribute="rgba", help="divide by 255")
+        element.warn(
+            "color values outside 0 to 1 are clipped", attribute="rgba", help="if the values are from 0 to 255, divide them by 255"
+        )
     red, green, blue, alpha = (min(max(part, 0.0), 1.0) for part in color)
     return red, green, blue, alpha
 
@@ -324,10 +326,10 @@ def _geometry(holder: Element, meshes: MeshReader, color: Color | None = None) -
         return None
     shapes = [child for child in element.children if child.tag in _SHAPES]
     if not shapes:
-        element.error("<geometry> without a shape that is known", help=f"the shapes are: {', '.join(_SHAPES)}")
+        element.error("<geometry> contains no known shape", help=f"use one of {', '.join(_SHAPES)}")
         return None
     for extra in shapes[1:]:
-        extra.warn("a further shape in the same <geometry> is not read", help="give it a <visual> or <collision> of its own")
+        extra.warn("deepbots ignores a second shape in the same <geometry>", help="put it into its own <visual> or <collision>")
     shape = _mesh(shapes[0], meshes) if shapes[0].tag == "mesh" else _solid(shapes[0], holder.tag)
     return Geometry(shape, _pose(holder), color) if shape else None
 
@@ -366,7 +368,7 @@ def _mesh(element: Element, meshes: MeshReader) -> Mesh | None:
         element.error(loaded.headline, attribute="filename", help=loaded.help)
         return None
     if loaded.reference:
-        headline = "the mesh is not in the folder of the robot file; the one in a parent folder is read, as in PyBullet"
+        headline = "the mesh is not in the folder of the robot file; deepbots reads the one in a parent folder, as PyBullet does"
         element.warn(headline, attribute="filename", help=f'write filename="{loaded.reference}"')
     return Mesh(str(loaded.path), loaded.digest, scale)
 
@@ -446,8 +448,8 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
         elif lower <= upper:
             return Limit(lower, upper, velocity, effort)
         else:
-            headline = f"the lower limit of joint {quoted(name)} is above the upper one, so it has none"
-            element.warn(headline, help="exchange the two, or make the joint continuous", code="DB307")
+            headline = f"the lower limit of joint {quoted(name)} is above its upper limit, so deepbots ignores both"
+            element.warn(headline, help="swap the two limits, or change the type of the joint to continuous", code="DB307")
     return Limit(None, None, velocity, effort)
 
 
@@ -477,12 +479,14 @@ def _without_balls(model: RobotModel, elements: dict[str, Element]) -> RobotMode
         names = [f"{joint.name}_{letter}" for letter in "xyz"]
         clash = next((name for name in names if name in taken), None)
         if clash:
-            headline = f"{quoted(joint.name)} is a ball joint, and {quoted(clash)}, the name of one of its hinges, is taken"
+            headline = (
+                f"ball joint {quoted(joint.name)} needs the name {quoted(clash)} for one of its three hinges, but the name is already used"
+            )
             element.error(headline, attribute="name", help="rename one of the two")
             continue
-        limited = " Its lower and upper limits are not read." if element.find_all("limit") else ""
-        headline = f"ball joint {quoted(joint.name)} is read as three hinges at one place: {', '.join(names)}"
-        help = f"near -90 and 90 deg about y, its axes x and z coincide.{limited}"
+        limited = " deepbots ignores its lower and upper limits." if element.find_all("limit") else ""
+        headline = f"deepbots models ball joint {quoted(joint.name)} as three hinges at the same point: {', '.join(names)}"
+        help = f"avoid angles near -90 and 90 deg about y, where the axes x and z coincide.{limited}"
         element.warn(headline, attribute="type", help=help)
         between = names[:2]
         links += [Link(name) for name in between]
@@ -545,8 +549,8 @@ def _check_reach(joint: Joint, mimic: Mimic, leader: Joint, element: Element) ->
     slack = _LIMIT_TOLERANCE * (high - low)
     if low < own.lower - slack or high > own.upper + slack:
         unit = "m" if joint.type == "prismatic" else "rad"
-        headline = f"joint {quoted(joint.name)} reaches its limit before {quoted(leader.name)} does, and stops it"
-        element.warn(headline, help=f"limits of {low:.6g} and {high:.6g} {unit} let it follow over the whole range")
+        headline = f"joint {quoted(joint.name)} reaches its limit before {quoted(leader.name)} does, and blocks it"
+        element.warn(headline, help=f"widen its limits to {low:.6g} and {high:.6g} {unit}")
 
 
 def _root_link(joints: Mapping[str, Joint], links: Mapping[str, Element], elements: Mapping[str, Element]) -> str | None:
@@ -557,14 +561,14 @@ def _root_link(joints: Mapping[str, Joint], links: Mapping[str, Element], elemen
         first = joint_above.setdefault(joint.child, name)
         if first != name:
             errors += 1
-            also = (Label(elements[first].span, f"{quoted(first)} already holds it"),)
+            also = (Label(elements[first].span, f"{quoted(first)} already has this child"),)
             headline = f"link {quoted(joint.child)} has two parents, {quoted(joints[first].parent)} and {quoted(joint.parent)}"
             elements[name].find_all("child")[0].error(headline, attribute="link", labels=also)
     parent = {child: joints[name].parent for child, name in joint_above.items()}
     for cycle in _cycles(parent):
         errors += 1
-        headline = "these links hang on each other in a circle: " + ", ".join(map(quoted, cycle[:5]))
-        elements[joint_above[cycle[0]]].error(headline, help="remove the joint that closes the circle")
+        headline = "these links form a closed loop: " + ", ".join(map(quoted, cycle[:5]))
+        elements[joint_above[cycle[0]]].error(headline, help="remove the joint that closes the loop")
     roots = [name for name in links if name not in parent]
     for name in roots[1:]:
         errors += 1
@@ -602,7 +606,7 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> None:
     def warn(code: str, links: list[Link], lack: str, help: str) -> None:
         for link in links:
             if link.name in moving:
-                elements[link.name].warn(f"link {quoted(link.name)} moves and has {lack}", attribute="name", help=help, code=code)
+                elements[link.name].warn(f"link {quoted(link.name)} moves but has {lack}", attribute="name", help=help, code=code)
         still = [link.name for link in links if link.name not in moving]
         if len(still) == 1:
             elements[still[0]].warn(f"link {quoted(still[0])} has {lack}", attribute="name", help=help, code=code)
@@ -615,11 +619,11 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> None:
     warn(
         "DB305",
         missing,
-        "no inertial",
-        "add an <inertial>; without one the link has no mass, which is correct only for a link that is just a frame",
+        "no <inertial>",
+        "add an <inertial>; only a link that is a pure frame needs no mass",
     )
     massless = [link for link in model.links if link.inertial and link.inertial.mass == 0]
-    warn("DB306", massless, "mass 0", "give it a mass; an engine may treat such a link as immovable")
+    warn("DB306", massless, "mass 0", "add a mass; an engine may treat such a link as immovable")
     for link in model.links:
         if link.inertial and link.inertial.mass > 0 and not link.inertial.is_plausible:
             help = "each principal moment must be above 0 and at most the sum of the other two"

@@ -44,7 +44,7 @@ def test_a_number_without_its_unit_is_shown_with_the_probable_one(workshop, head
 @pytest.mark.parametrize("word", ["random", "uniform", "anny"])
 def test_a_yaw_at_random_is_told_any(workshop, head, word):
     (finding,) = workshop.lint(f"{head}reset: {{place: {{cart: {{z: 0.04 m, yaw: {word}}}}}}}\n")
-    assert finding.help.startswith("did you mean `any`?")
+    assert finding.help.startswith("write the word `any`, or a value")
 
 
 @pytest.mark.parametrize("word", ["ik", "IK", "inverse_kinematics", "inverse-kinematics", "end_effector", "osc"])

@@ -148,7 +148,7 @@ def test_a_link_of_a_scenario_takes_its_mass_from_its_density(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("says", "code", "words"),
     [
-        ("density: 700 kg/m^3, mass: 1 kg", "DB202", "both set the mass"),
+        ("density: 700 kg/m^3, mass: 1 kg", "DB202", "cannot be combined"),
         ("density: 7 kg", "DB503", "density"),
         ("density: 0 kg/m^3", "DB105", "0"),
     ],

@@ -116,7 +116,7 @@ def test_a_mesh_is_stretched_by_its_scale():
         (Sphere(1.0), Pose(), (1.0, 1.0, 2.0), "a sphere would not stay round"),
         (Cylinder(1.0, 1.0), Pose(), (1.0, 2.0, 2.0), "a cylinder would not stay round"),
         (Capsule(1.0, 1.0), Pose(), (1.0, 1.0, 2.0), "the ends of a capsule would not stay round"),
-        (Box((1.0, 1.0, 1.0)), Pose(rpy=(0.0, 0.0, 0.5)), (1.0, 2.0, 1.0), "oblique"),
+        (Box((1.0, 1.0, 1.0)), Pose(rpy=(0.0, 0.0, 0.5)), (1.0, 2.0, 1.0), "skew"),
         (Box((1.0, 1.0, 1.0)), Pose(), (1.0, 0.0, 1.0), "above 0"),
         (Box((1.0, 1.0, 1.0)), Pose(), (1.0, math.nan, 1.0), "above 0"),
     ],

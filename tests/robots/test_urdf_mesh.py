@@ -68,24 +68,27 @@ def test_the_normalized_robot_finds_its_meshes_from_anywhere(tmp_path: Path):
 
 
 CONTENTS = {
-    "a.obj": (b"# nothing\n", "the OBJ file holds no vertex"),
-    "b.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99999999\n", "the OBJ file has a face with vertex 99999999 and only 3 vertices"),
-    "c.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 " + b"9" * 9999 + b"\n", "and only 3 vertices"),
-    "d.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -1 -2 -9\n", "and only 3 vertices"),
+    "a.obj": (b"# nothing\n", "the OBJ file contains no vertex"),
+    "b.obj": (
+        b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99999999\n",
+        "a face of the OBJ file has vertex 99999999, but the file has only 3 vertices",
+    ),
+    "c.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 " + b"9" * 9999 + b"\n", "but the file has only 3 vertices"),
+    "d.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -1 -2 -9\n", "but the file has only 3 vertices"),
     "e.obj": (b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a vertex that is not finite"),
-    "f.obj": (b"v 0 0 0\n", "the OBJ file holds no face"),
+    "f.obj": (b"v 0 0 0\n", "the OBJ file contains no face"),
     "g.obj": (b"\0\1\2", "the OBJ file is not text"),
-    "a.stl": (stl(100_000_000, 1), "the STL file declares 100,000,000 triangles, but its length is that of 1 triangles"),
+    "a.stl": (stl(100_000_000, 1), "the STL file declares 100,000,000 triangles, but it is as long as a file of 1 triangles"),
     "b.stl": (b"short", "the STL file is shorter than its header"),
-    "c.stl": (stl(0, 0), "the STL file holds no triangle"),
-    "d.stl": (stl(1, 1) + b"\n", "declares 1 triangles, but its length is that of 1.02"),
+    "c.stl": (stl(0, 0), "the STL file contains no triangle"),
+    "d.stl": (stl(1, 1) + b"\n", "declares 1 triangles, but it is as long as a file of 1.02"),
     "e.stl": (stl(1, 0) + struct.pack("<12f", *[math.nan] * 12) + b"\0\0", "a vertex that is not finite"),
     "f.stl": (b"solid x\nfacet normal 0 0 1\nvertex 0 nan 0\n", "a vertex that is not finite"),
     "a.dae": (b"<COLLADA/>", "the COLLADA file has no <asset>"),
     "b.dae": (b"hello", "the mesh is not a COLLADA file"),
     "c.dae": (b"<!DOCTYPE x [<!ENTITY a 'b'>]><COLLADA>&a;</COLLADA>", "the mesh is not a COLLADA file"),
-    "a.ply": (b"ply", "the mesh format '.ply' is not read"),
-    "noext": (b"", "the mesh format '' is not read"),
+    "a.ply": (b"ply", "the mesh format '.ply' is not supported"),
+    "noext": (b"", "the mesh format '' is not supported"),
 }
 
 
@@ -148,7 +151,7 @@ def test_a_mesh_in_a_folder_above_is_read_with_a_warning_where_that_folder_is_al
     ("filename", "expected"),
     [
         ("gone.obj", "the mesh does not exist"),
-        ("http://x.org/m.obj", "a mesh cannot be fetched from 'http'"),
+        ("http://x.org/m.obj", "deepbots cannot download a mesh from 'http'"),
         ("x" * 5000 + ".obj", "cannot be read"),
     ],
 )

@@ -111,11 +111,11 @@ ERRORS = {
     "commas without blanks": (broken('size="1 2 3"', 'size="1,2,3"'), "'1,2,3' is not a finite number", "1,2,3"),
     "name of a hinge": (
         broken('"revolute"', '"spherical"').replace('"hand"', '"elbow_y"'),
-        "'elbow' is a ball joint, and 'elbow_y', the name of one of its hinges, is taken", "elbow",
+        "ball joint 'elbow' needs the name 'elbow_y' for one of its three hinges, but the name is already used", "elbow",
     ),
     "flat box": (broken('size="1 2 3"', 'size="1 -2 3"'), "'size' must be above 0", "1 -2 3"),
     "thin cylinder": (broken('radius="0.1"', 'radius="0"'), "'radius' must be above 0", "0"),
-    "no shape": (broken('<box size="1 2 3"/>', ""), "<geometry> without a shape that is known", "<geometry>"),
+    "no shape": (broken('<box size="1 2 3"/>', ""), "<geometry> contains no known shape", "<geometry>"),
     "no geometry": (broken('<geometry><box size="1 2 3"/></geometry>', ""), "<visual> without <geometry>", "<visual>"),
     "zero axis": (broken('xyz="0 3 4"', 'xyz="0 0 0"'), "the axis has no length", "0 0 0"),
     "joint type": (broken('"revolute"', '"revolut"'), "unknown joint type 'revolut'", "revolut"),
@@ -123,12 +123,16 @@ ERRORS = {
     "no parent": (broken('<parent link="base"/>', ""), "<joint> without <parent>", '<joint name="elbow" type="revolute">'),
     "parent without link": (broken('<parent link="base"/>', "<parent/>"), "<parent> without the attribute 'link'", "<parent/>"),
     "unknown child": (broken('child link="hand"', 'child link="hnd"'), "joint 'elbow' has the unknown link 'hnd' as its child", "hnd"),
-    "self joint": (broken('"hand"/>', '"base"/>'), "these links hang on each other in a circle: 'base'", '<joint name="elbow" '),
+    "self joint": (broken('"hand"/>', '"base"/>'), "these links form a closed loop: 'base'", '<joint name="elbow" '),
     "second root": (broken("</robot>", f'<link name="free">{INERTIAL}</link></robot>'), "link 'free' is a second root", "free"),
     "second link": (broken("</robot>", '<link name="hand"/></robot>'), "a second link called 'hand'", "hand"),
     "nameless link": (broken("</robot>", "<link/></robot>"), "<link> without the attribute 'name'", "<link/>"),
     "empty name": (broken("</robot>", '<link name=" "/></robot>'), "the attribute 'name' is empty", " "),
-    "line break in a name": (broken('"arm"', '"a"').replace("hand", "ha&#10;nd"), "holds characters that cannot be printed", "ha&#10;nd"),
+    "line break in a name": (
+        broken('"arm"', '"a"').replace("hand", "ha&#10;nd"),
+        "contains characters that cannot be printed",
+        "ha&#10;nd",
+    ),
     "mimic": (broken("<dynamics", '<mimic joint="elbo"/><dynamics'), "joint 'elbow' follows the unknown joint 'elbo'", "elbo"),
     "self mimic": (broken("<dynamics", '<mimic joint="elbow"/><dynamics'), "these joints follow each other in a circle: 'elbow'", "elbow"),
     "macro": (broken("</robot>", "<xacro:wheel/></robot>"), "a xacro macro that has not been expanded", "<xacro:wheel/>"),
@@ -158,15 +162,15 @@ ODDITIES = {
     "zero bytes and blanks": (ARM + "\r\n\0\0 \n", "a zero byte after the end of the document", "\0", (23, 1)),
     "rotation of four": (
         broken('rpy="0.1 0 0"', 'rpy="0.1 0 0 9"'),
-        "'rpy' needs 3 numbers, not 4; the first 3 are read, as in PyBullet", "0.1 0 0 9", (10, 43),
+        "'rpy' needs 3 numbers, not 4; deepbots reads the first 3, as PyBullet does", "0.1 0 0 9", (10, 43),
     ),
     "place of four": (
         broken('xyz="1 0 0"', 'xyz="1 0 0 9"'),
-        "'xyz' needs 3 numbers, not 4; the first 3 are read, as in PyBullet", "1 0 0 9", (16, 18),
+        "'xyz' needs 3 numbers, not 4; deepbots reads the first 3, as PyBullet does", "1 0 0 9", (16, 18),
     ),
-    "commas": (broken('size="1 2 3"', 'size="1, 2, 3"'), "'1,' is not a number; 1 is read, as in PyBullet", "1, 2, 3", (6, 34)),
+    "commas": (broken('size="1 2 3"', 'size="1, 2, 3"'), "'1,' is not a number; deepbots reads 1, as PyBullet does", "1, 2, 3", (6, 34)),
     "a point too many": (
-        broken('lower="-1"', 'lower="-1.0."'), "'-1.0.' is not a number; -1.0 is read, as in PyBullet", "-1.0.", (18, 19),
+        broken('lower="-1"', 'lower="-1.0."'), "'-1.0.' is not a number; deepbots reads -1.0, as PyBullet does", "-1.0.", (18, 19),
     ),
 }  # fmt: skip
 
@@ -185,7 +189,7 @@ def test_a_ball_joint_is_read_as_three_hinges_with_a_warning_at_its_type(read_te
     robot, findings = read_text(broken('"revolute"', '"spherical"'))
     finding = single(findings)
     assert finding.code == "DB311"
-    assert finding.headline == "ball joint 'elbow' is read as three hinges at one place: elbow_x, elbow_y, elbow_z"
+    assert finding.headline == "deepbots models ball joint 'elbow' as three hinges at the same point: elbow_x, elbow_y, elbow_z"
     assert finding.span.location == "robot.urdf:13:29"
     hinges = [robot.model.joint(f"elbow_{axis}") for axis in "xyz"]
     assert [hinge.axis for hinge in hinges] == [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
@@ -227,7 +231,7 @@ def test_two_parents_and_a_circle_are_named(read_text):
     )
     assert single(findings).headline == "link 'c' has two parents, 'a' and 'b'"
     _, findings = read_text(f'<robot name="r">{links}{joint("1", "a", "b")}{joint("2", "d", "c")}{joint("3", "c", "d")}</robot>')
-    assert single(findings).headline == "these links hang on each other in a circle: 'c', 'd'"
+    assert single(findings).headline == "these links form a closed loop: 'c', 'd'"
 
 
 def test_unknown_names_suggest_the_nearest(read_text):
@@ -261,12 +265,12 @@ def test_misspelled_elements_and_attributes_are_warned_about(read_text):
     )
     assert (finding.code, finding.help) == ("DB311", "did you mean 'lateral_friction'?")
     finding = warning(read_text, broken('lower="-1"', 'lowr="-1"'))
-    assert (finding.headline, finding.span.text) == ("the attribute 'lowr' is not read", "-1")
+    assert (finding.headline, finding.span.text) == ("deepbots ignores the attribute 'lowr'", "-1")
 
 
 def test_a_moving_link_without_inertia_is_warned_about_by_itself(read_text):
     finding = warning(read_text, ARM.replace(f'<link name="hand">\n    {INERTIAL}', '<link name="hand">'))
-    assert (finding.code, finding.headline) == ("DB305", "link 'hand' moves and has no inertial")
+    assert (finding.code, finding.headline) == ("DB305", "link 'hand' moves but has no <inertial>")
 
 
 FRAMES = {
@@ -328,7 +332,7 @@ def test_a_continuous_joint_keeps_its_effort_and_has_no_bounds(read_text):
 
 def test_a_further_element_of_the_same_kind_is_not_read(read_text):
     finding = warning(read_text, broken('<axis xyz="0 3 4"/>', '<axis xyz="0 3 4"/><axis xyz="1 0 0"/>'))
-    assert finding.headline == "a further <axis> in the same <joint> is not read"
+    assert finding.headline == "deepbots ignores a second <axis> in the same <joint>"
 
 
 def test_a_mimic_joint_is_read(read_text):
@@ -389,10 +393,10 @@ def test_a_fixed_joint_follows_nothing(read_text):
 def test_a_follower_whose_limits_stop_its_leader_is_a_warning(read_text):
     assert read_text(follower('<mimic joint="elbow" multiplier="-0.1"/>', 'lower="-0.2" upper="0.1"'))[1] == []
     finding = warning(read_text, follower('<mimic joint="elbow"/>', 'lower="-0.1" upper="0.1"'))
-    assert finding.headline == "joint 'j' reaches its limit before 'elbow' does, and stops it"
-    assert finding.help == "limits of -1 and 2 m let it follow over the whole range"
+    assert finding.headline == "joint 'j' reaches its limit before 'elbow' does, and blocks it"
+    assert finding.help == "widen its limits to -1 and 2 m"
 
 
 def test_an_unexpanded_default_of_xacro_is_read_with_a_warning(read_text):
     finding = warning(read_text, broken('<origin xyz="1 0 0"/>', '<origin xyz="$(optenv WHERE 0.5 0 1)"/>'))
-    assert finding.help == "its default is read: 0.5 0 1"
+    assert finding.help == "expand it with xacro; until then deepbots uses its default, 0.5 0 1"

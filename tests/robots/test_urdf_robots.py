@@ -103,10 +103,10 @@ def test_the_cart_on_a_rail_is_that_of_the_textbooks():
 
 REFUSED = {
     "kuka_iiwa/model_for_sdf.urdf": "the mesh does not exist",  # nor does PyBullet load it
-    "plane_implicit.urdf": "<geometry> without a shape that is known",  # an endless plane
-    "random_urdfs/168/168.urdf": "the OBJ file holds a vertex that is not finite",
+    "plane_implicit.urdf": "<geometry> contains no known shape",  # an endless plane
+    "random_urdfs/168/168.urdf": "the OBJ file contains a vertex that is not finite",
     "torus_deform.urdf": "the robot has no links",  # a soft body; nor does PyBullet load it
-    "toys/concave_box.urdf": "<geometry> without a shape that is known",  # a file that is not there; nor does PyBullet load it
+    "toys/concave_box.urdf": "<geometry> contains no known shape",  # a file that is not there; nor does PyBullet load it
 }
 
 
