@@ -60,7 +60,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Compare the time of a step with that of the physics.
+    """Measure how fast steps are, and how much of it is physics.
 
     The command runs the same episodes twice in the same engine: with full environment steps, and with the physics alone. Resets are not
     timed. The ratio is the time of an environment step divided by the time of its physics. The difference is the cost of messages,

@@ -35,7 +35,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Compare policies on the same starts.
+    """Compare trained policies on the same start states.
 
     A folder of `deepbots train --seeds` is a group. Single runs of one scenario, trained in the same engine, form a group too. If all
     given runs would form one single group, each run is compared as a group of its own.

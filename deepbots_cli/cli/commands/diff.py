@@ -66,7 +66,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Compare the meaning of two scenarios.
+    """Show what differs between two scenarios.
 
     The command compiles both scenarios and compares the values, so layout, comments and units make no difference. For a run or a
     group it uses the scenario of the training. --set overrides values of the second scenario.

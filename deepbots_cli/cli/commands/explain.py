@@ -51,7 +51,7 @@ def command(
     ] = "",
     as_json: Json = False,
 ) -> None:
-    """Explain a finding, a word of the language, or a term.
+    """Explain an error code, a word of the language, or a term.
 
     Words of the language are keys, functions, units, and kinds of sensors, actuators, objects and algorithms. The
     glossary has terms of reinforcement learning, such as HER, domain randomization or time limit. Without a word, the command lists all

@@ -54,7 +54,7 @@ def command(
     as_json: Annotated[bool, option("--json", "Print all tables as JSON.")] = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Show a scenario, a run or a robot file as tables.
+    """Show robots, messages, observation and reward as tables.
 
     The tables of a scenario show its robots, messages, observation, action, reward, endings and training, in SI units. With --full, they
     also show joints, sensors, actuators, resets, cases, stages, every hyperparameter, the physics step in which an action takes effect,

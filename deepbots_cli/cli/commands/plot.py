@@ -19,7 +19,7 @@ def command(
     force: Force = False,
     dark: Annotated[bool, option("--dark", "Light lines on a dark ground.")] = False,
 ) -> None:
-    """Plot the training of runs over the timesteps.
+    """Plot the learning curves of runs.
 
     The panels show returns, success rates, reward terms and endings.
     Runs of one scenario with different seeds are drawn as one line, the mean over the seeds. A band shows the range from the lowest to the

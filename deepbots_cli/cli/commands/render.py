@@ -144,7 +144,7 @@ def command(
     force: Force = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Make a picture, a video, an offline page or a recording.
+    """Make a picture, a video or GIF, an offline page or a recording.
 
     The suffix of the file says what is made:
 

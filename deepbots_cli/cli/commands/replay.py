@@ -37,7 +37,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Show a recording, or run it again and compare.
+    """Play a recording, or check that it runs the same again.
 
     --verify compiles the scenario in the recording, and runs each episode again from its seed with its recorded actions. The command
     names the first step and the first quantity that differ, with exit code 1. On the machine of the recording, with the same

@@ -24,7 +24,7 @@ def command(
     as_json: Json = False,
     allow_code: AllowCode = False,
 ) -> None:
-    """Write a report about a run or a group: one HTML file.
+    """Write a report about a run: one HTML file to send.
 
     The file holds the result with its interval, learning curves, reward terms, endings, the return over each random value, trajectories,
     and clips of the best, the median and the worst episode. It also holds the scenario, the findings of lint and the versions. It loads

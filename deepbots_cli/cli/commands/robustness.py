@@ -46,7 +46,7 @@ def command(
     ] = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Evaluate a policy with delays, noise and weaker motors.
+    """Evaluate a policy with sensor noise, delays and weaker motors.
 
     deepbots changes one condition at a time by several amounts: latency, message loss, noise, mass, friction and the strength of the
     motors. All evaluations begin with the same held-out starts. The table shows the level of each condition at which the result falls

@@ -38,7 +38,7 @@ def command(
     ] = Sort.date,
     as_json: Json = False,
 ) -> None:
-    """List your runs and groups, with their results.
+    """List your trainings, with their results.
 
     The list is read from the files of the runs, also while they train. A group is one row, with the means over its seeds;
     `deepbots runs GROUP` lists its runs, and `deepbots runs RUN` the evaluations that a run keeps.

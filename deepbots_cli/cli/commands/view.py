@@ -86,7 +86,7 @@ def view(
     open_: Open = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Show a scenario, a run or a recording in the browser.
+    """Watch a policy, a scenario or a recording in the browser.
 
     The command prints the address of the page, and serves it until Ctrl-C. The page shows robots, objects, sensor rays and contacts,
     with pause, single steps, speed and seed, and plots the observation, the action and every reward term.
