@@ -439,7 +439,10 @@ def _target(root: MappingNode, path: ScalarNode, findings: Findings) -> tuple[No
             keys.append(_key(path, at, at + len(step)))
             at += len(step) + 1
         return (name,), keys
-    findings.add("DB201", here, f"there is no `{name}`{inside}", f"did you mean `{near}`?" if near else _listed(reached))
+    help = f"did you mean `{near}`?" if near else _listed(reached)
+    if name and all(below) and not near:
+        help += f"; to add it, set it whole: `{dotted[: at - start]}{name}={{{': {'.join(below)}: ...{'}' * len(below)}`"
+    findings.add("DB201", here, f"there is no `{name}`{inside}", help)
     return None
 
 

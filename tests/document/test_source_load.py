@@ -302,6 +302,7 @@ def test_an_assigned_value_has_its_place_in_the_assignment() -> None:
         ("world.arena.size.x=3", "DB201", "x", "whole value"),
         ("world.area.size=3", "DB201", "area", "did you mean `arena`?"),
         ("world..x=3", "DB201", ".", "there are"),
+        ("world.light.brightness=3", "DB201", "light", "set it whole: `world.light={brightness: ...}`"),
         ("pole", "DB107", "pole", "path=value"),
         ("pole=", "DB107", "pole=", "path=value"),
         ("pole=null", "DB107", "pole", "no null"),
