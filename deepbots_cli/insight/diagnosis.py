@@ -51,9 +51,9 @@ from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, lint_f
 from deepbots_cli.learning.report import longer_goal
 from deepbots_cli.learning.sb3.defaults import default_values, longest_episode
 from deepbots_cli.program.task import Observation
+from deepbots_cli.runtime.supervisor import TRUE_AT_RESET
 
 _SAME_TOLERANCE = 1e-6  # numbers of the observation, from -1 to 1, that differ by less are equal
-_AT_RESET = "already holds at reset"  # the error of an episode that cannot start
 _UNLEARNABLE = {"DB705", "DB708", "DB711", "DB807", "DB810"}
 """Lint shows by these that failing or avoiding the success earns most, that all policies earn the same, or that what is required is out of
 reach."""
@@ -118,7 +118,7 @@ def ending_at_reset(t: TrainingEvidence) -> Numbers | None:
 
     Try: Change the start under `reset` or the threshold of the ending. `deepbots lint --deep SCENARIO` counts the starts that end at once.
     """
-    return {"likelihood": 1.0, "steps": t.steps, "error": t.failure.rstrip(".")} if _AT_RESET in t.failure else None
+    return {"likelihood": 1.0, "steps": t.steps, "error": t.failure.rstrip(".")} if TRUE_AT_RESET in t.failure else None
 
 
 def not_finite(t: TrainingEvidence) -> Numbers | None:
@@ -127,7 +127,7 @@ def not_finite(t: TrainingEvidence) -> Numbers | None:
     Try: Use max(...) to keep divisors and arguments of sqrt and log above 0, or lower `train.learning_rate`. `deepbots diagnose
     RUN/failures/NNNN.json` explains the episode.
     """
-    if not t.has_failed or _AT_RESET in t.failure:
+    if not t.has_failed or TRUE_AT_RESET in t.failure:
         return None
     reason = t.failure.rstrip(".") or "the last value in its log is not a number (NaN)"
     return {"likelihood": 1.0, "steps": t.steps, "error": reason, "episodes": len(t.episodes)}

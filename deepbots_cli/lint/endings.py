@@ -33,11 +33,9 @@ _MAX_SEEDS = 8
 
 
 def never_true(context: RuleContext) -> Iterator[Finding]:
-    """DB801: an ending can never hold.
-
-    For example, the joint has a stop before the limit, a distance would have to be negative, or an angle in degrees is compared in
-    radians. Episodes then run to the time limit. A contact between two links of one robot, which never touch each other, is reported
-    wherever an ending uses it.
+    """DB801: an ending can never be true. For example, the joint stops before the limit, a distance would have to be
+    negative, or the limit of an angle is in the wrong unit. Episodes then run to the time limit. A contact between two
+    links of one robot, which never touch each other, is reported wherever an ending uses it.
 
     Example::
 
@@ -53,12 +51,12 @@ def never_true(context: RuleContext) -> Iterator[Finding]:
     ]
     for ending in context.program.endings:
         if all(ending.name in names for names in silent):
-            headline = f"`{ending.name}` can never hold"
+            headline = f"`{ending.name}` can never be true"
             notes = tuple(_reasons(context.analysis, ending))
             yield Finding("DB801", ending.span, headline, "correct the condition, or remove the ending", notes=notes)
         elif own := [] if ending.foreign else context.analysis.own_contacts(context.analysis.scalars(ending)[0]):
             headline = f"`{own[0]}` is never true: links of one robot do not touch each other"
-            yield Finding("DB801", ending.span, headline, "compare `clearance(...)` of the two links with a distance")
+            yield Finding("DB801", ending.span, headline, "use `clearance(...)` of the two links instead, as in `clearance(a, b) < 1 cm`")
 
 
 def _truth_over_episode(analysis: Analysis, ending: Expression) -> Interval:
@@ -107,16 +105,16 @@ def always_true(context: RuleContext) -> Iterator[Finding]:
     """
     for ending in context.program.endings:
         if _truth_over_episode(context.analysis, ending) == ALWAYS:
-            headline = f"`{ending.name}` holds in every step"
-            yield Finding("DB802", ending.span, headline, "write a condition that does not always hold")
+            headline = f"`{ending.name}` is true in every step"
+            yield Finding("DB802", ending.span, headline, "write a condition that is not always true")
 
 
 def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
     """DB804: one of two limits always comes first, so the other has no effect.
 
-    For example, `max_time` comes after `max_steps`, an ending can hold only after the truncation or after another ending, or an ending
-    always holds before the truncation. An ending at a return above 195, with a reward of 1 per step, ends the best episode in step 196 of
-    200.
+    For example, `max_time` comes after `max_steps`, an ending can become true only after the truncation or after
+    another ending, or an ending always comes before the truncation. An ending at a return above 195, with a reward of 1
+    per step, ends the best episode in step 196 of 200.
 
     Example::
 
@@ -136,11 +134,11 @@ def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
         (node,) = analysis.scalars(ending)
         limit = f"the truncation at step {last}"
         if _with_return(analysis, 0, last).of(node) == NEVER:
-            headline, what = f"`{ending.name}` cannot hold before {limit}", "the truncation"
+            headline, what = f"`{ending.name}` cannot become true before {limit}", "the truncation"
             help = "raise the limit under `truncation`, or remove the ending"
         elif not _leaves(analysis, node) <= _CLOCK_NAMES and last > 1 and _with_return(analysis, last - 1, last - 1).of(node) == ALWAYS:
             headline, what = f"`{ending.name}` ends every episode before {limit}", "never reached"
-            help = "remove this ending: `truncation` ends the episode, and the section `solved` defines a good result"
+            help = "remove this ending: `truncation` already ends the episode; describe a good result under `solved`"
         else:
             continue
         also = (Label(context.values.key_span(("truncation",)), what),)
@@ -185,7 +183,11 @@ def _later_ending(context: RuleContext) -> Iterator[Finding]:
     for late, first in found.items():
         if all(late.name in names for names in later):
             headline = f"`{late.name}` has no effect: `{first.name}` always ends the episode first"
-            help = "write a limit that is reached first" if (late.name in failures) != (first.name in failures) else "remove one of the two"
+            help = (
+                f"change the limit of `{late.name}` so that it is reached before `{first.name}`"
+                if (late.name in failures) != (first.name in failures)
+                else "remove one of the two"
+            )
             yield Finding("DB804", late.span, headline, help, labels=(Label(first.span, "ends the episode first"),))
 
 
@@ -225,7 +227,7 @@ def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
 
 
 def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
-    """DB806: an ending already holds at the start of every episode.
+    """DB806: an ending is already true at the start of every episode.
 
     Example::
 
@@ -241,7 +243,7 @@ def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
             sides = [side for entry in comparisons(analysis, ending) for side in _sides(entry, start)]
             notes = tuple(f"`{text}` begins {words}" for text, known, words in sides if known.is_finite)
             help = "change the initial state under `reset`, widen the limit, or reverse the comparison"
-            yield Finding("DB806", ending.span, f"`{ending.name}` already holds when an episode begins", help, notes=notes)
+            yield Finding("DB806", ending.span, f"`{ending.name}` is already true when an episode begins", help, notes=notes)
 
 
 def sometimes_ends_at_reset(simulation: Simulation) -> Iterator[Finding]:
@@ -249,7 +251,7 @@ def sometimes_ends_at_reset(simulation: Simulation) -> Iterator[Finding]:
     for ending in simulation.program.endings:
         seeds = simulation.report.endings_at_reset.get(ending.name, [])
         if seeds:
-            headline = f"`{ending.name}` already holds at the start of {len(seeds)} of {simulation.plan.resets} episodes"
+            headline = f"`{ending.name}` is already true at the start of {len(seeds)} of {simulation.plan.resets} episodes"
             more = ", ..." if len(seeds) > _MAX_SEEDS else ""
             notes = (f"with seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds[:_MAX_SEEDS]))}{more}",)
             yield Finding("DB806", ending.span, headline, "change the initial state under `reset`, or widen the limit", notes=notes)
@@ -270,9 +272,9 @@ def undefined_value(simulation: Simulation) -> Iterator[Finding]:
 def after_the_end(context: RuleContext) -> Iterator[Finding]:
     """DB811: a push, a reading or a message would come only after the end of every episode.
 
-    The rule compares three times with the length of an episode (`max_steps`, `max_time`): the first push of a disturbance, the second
-    reading of a sensor, and the first message after the reset. It reports a time that no episode of the scenario, its cases and its stages
-    reaches. The usual cause is a wrong unit.
+    The rule checks whether three events can occur within an episode (`max_steps`, `max_time`): the first push of a disturbance, the
+    second reading of a sensor, and the first message after the reset. It reports an event that comes too late for every episode of the
+    scenario, its cases and its stages. The usual cause is a wrong unit.
 
     Example::
 
@@ -288,8 +290,8 @@ def after_the_end(context: RuleContext) -> Iterator[Finding]:
     end = max(analysis.last_step * analysis.period for analysis in context.versions)  # s
     for what, time, path in _delays(context.analysis):
         if time >= end and all(known.get(path, time) >= end for known in times):
-            headline = f"{what} {with_unit(time, TIME)} or more, and no episode lasts longer than {with_unit(end, TIME)}"
-            yield Finding("DB811", context.values.span(path), headline, "write a shorter time, or longer episodes under `truncation`")
+            headline = f"{what} at least {with_unit(time, TIME)}, but no episode lasts longer than {with_unit(end, TIME)}"
+            yield Finding("DB811", context.values.span(path), headline, "write a shorter time, or allow longer episodes under `truncation`")
 
 
 def _delays(analysis: Analysis) -> Iterator[tuple[str, float, NodePath]]:
@@ -338,7 +340,8 @@ class SolidProfile(NamedTuple):
 
 
 def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
-    """DB807: a success requires an impossible distance: bodies touch before their origins meet, or one lies beyond the walls.
+    """DB807: success requires a distance that cannot be reached: the bodies touch before they are so close, or the
+    target is outside the walls.
 
     `distance` and `ground_distance` are measured between origins. A robot of 4 cm radius and a ball of 7 cm radius never come closer
     than 11 cm. `clearance` is measured between surfaces.
@@ -471,7 +474,7 @@ def _is_outside(analysis: Analysis, body: str, near: float) -> bool:
 def idle_test(context: RuleContext) -> Iterator[Finding]:
     """DB813: a test that can only pass, or only fail.
 
-    A condition holds in every step or in none, a rate may be anything, or every ending of the scenario is expected.
+    A condition is true in every step or in none, a rate has no limits, or every ending of the scenario is accepted.
 
     Example::
 
@@ -491,10 +494,14 @@ def idle_test(context: RuleContext) -> Iterator[Finding]:
         for expected in test.expected:
             outcome = _only_outcome(analysis, test, expected)
             if outcome is not None:
-                headline = f"the test `{test.name}` cannot pass: `{expected.key}` never holds"
+                headline = f"the test `{test.name}` cannot pass: `{expected.key}` is never met"
                 if outcome:
-                    headline = f"`{expected.key}` of the test `{test.name}` checks nothing: it holds whatever happens"
-                help = "expect a result that a wrong scenario does not reach" if outcome else "expect a result that can be reached"
+                    headline = f"`{expected.key}` of the test `{test.name}` checks nothing: it is always met"
+                help = (
+                    "write an expectation that a mistake in the scenario would violate"
+                    if outcome
+                    else "write an expectation that an episode can meet"
+                )
                 yield Finding("DB813", expected.span, headline, help)
 
 

@@ -34,13 +34,15 @@ _MIN_WORTH = 0.25
 def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
     """DB705: failing early costs less than an episode that goes on to its time limit.
 
-    The agent first learns to fail at once. If a success pays, continuing pays only when enough episodes succeed; the finding gives this
-    share, and is reported above one half. Make a failure cost more than all steps together, or pay for each good step.
+    The agent first learns to fail at once. If success is rewarded, continuing is worthwhile only if enough episodes
+    succeed. The finding states the required share, and appears only if it is more than one half. Make a failure cost
+    more than all steps together, or pay for each good step.
 
-    The rule takes the smallest cost of a step after which the episode goes on, and adds it up over the steps that count given the
-    discount factor. What `delta` pays is bounded by the whole change from the start of the episode, where the scenario gives its
-    range. In a task with a goal, the rule considers the steps in which the goal is not reached: if each of them costs, as with
-    `-1 when not goal_reached`, a failure that ends the episode ends these costs.
+    The rule adds up the smallest cost of a step that does not end the episode, over the episode or over the horizon of
+    the discount factor if that is shorter. The sum of `delta(x)` is at most the change of x over the episode, so the
+    rule uses the range of x if it is known. In a task with a goal, the rule considers the steps in which the goal is
+    not reached: if each of them costs, as with `-1 when not goal_reached`, a failure that ends the episode ends these
+    costs.
 
     Example::
 
@@ -85,19 +87,19 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
     if success is not None and prize > 0.0:
         share = break_even(living, cost, prize + max(0.0, _total_sum(ordinary, running, 0)))
         if share >= _MIN_BREAK_EVEN:
-            headline = f"an episode to the time limit costs at least {whole}, `{ending.name}` {price}"
-            headline += f", and `{success.name}` pays {prize:.3g}"
+            headline = f"an episode that lasts until the time limit costs at least {whole}, but `{ending.name}` {price}"
+            headline += f"; `{success.name}` pays {prize:.3g}"
             yield Finding("DB705", dearest.span, headline, _LIVING_HELP, notes=_share_notes(reward, share, success), labels=also)
         return
-    headline = f"continuing an episode costs at least {whole}, and `{ending.name}` {price}"
-    help = "pay for a good step instead, such as `alive: 1`, or make a failure cost more than all steps together"
+    headline = f"continuing an episode costs at least {whole}, but `{ending.name}` {price}"
+    help = "reward each good step, as in `alive: 1`, or make a failure cost more than all steps together"
     if program.agent.goal is not None:
-        headline = f"an episode that misses the goal costs at least {whole}, and one that ends by `{ending.name}` {price} or less"
-        help = f"pay for the goal instead, as in `1 when goal_reached`, or remove `{ending.name}`"
+        headline = f"an episode that misses the goal costs at least {whole}, but one that ends with `{ending.name}` {price} or less"
+        help = f"reward the goal instead, as in `1 when goal_reached`, or remove `{ending.name}`"
     yield Finding("DB705", dearest.span, headline, help, labels=also)
 
 
-_LIVING_HELP = "make a failure cost more than all steps together, or a step cost less"
+_LIVING_HELP = "raise the cost of a failure above the cost of all steps together, or lower the cost of a step"
 
 
 def _price(cost: float) -> str:
@@ -106,8 +108,10 @@ def _price(cost: float) -> str:
 
 def _share_notes(reward: RewardTerms, share: float, success: Expression) -> tuple[str, ...]:
     less = _horizon(reward) < reward.analysis.last_step - 1
-    known = f"; about {_horizon(reward):.0f} steps count, given the discount factor of the training" if less else ""
-    return (f"failing at once pays more unless `{success.name}` ends more than {100.0 * share:.0f} % of the episodes{known}",)
+    known = f"; the discount factor of the training limits the horizon to about {_horizon(reward):.0f} steps" if less else ""
+    return (
+        f"failing at once gives a higher return unless more than {100.0 * share:.0f} % of the episodes end with `{success.name}`{known}",
+    )
 
 
 def break_even(living: float, failing: float, success: float) -> float:
@@ -227,13 +231,13 @@ class _StillRanges(Ranges):
 
 
 def hovering_pays(context: RuleContext) -> Iterator[Finding]:
-    """DB708: an episode that avoids the success, which would end it, can collect more than the success pays.
+    """DB708: an episode can collect more reward without success than success pays, because success ends the episode.
 
     The agent learns to stay just outside of the goal, for example 5 mm from its target, or to move in it so slowly that it never stops.
     Pay for progress (`-10 * delta(distance) / m`), or pay more for the success than the rest of an episode can pay.
 
     The rule adds up the largest reward of a step in which nothing moves, and in which one of the conditions of the success
-    just fails to hold. Rewards that the discount factor makes small beside the success are not reported.
+    just fails to hold. The rule does not report rewards that are small compared with the success after discounting.
 
     Example::
 
@@ -337,9 +341,7 @@ def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
         yield from idle or _place_pays(simulation, successes[0])
 
 
-_PROGRESS_HELP = (
-    "pay for progress, as in `-10 * delta(distance) / m`, or pay more for the success than an episode without success can collect"
-)
+_PROGRESS_HELP = "reward progress, as in `-10 * delta(distance) / m`, or make success pay more than an episode without success can collect"
 
 
 def _better_than_success(episodes: list[SimulatedEpisode]) -> tuple[SimulatedEpisode, SimulatedEpisode] | None:
@@ -401,10 +403,8 @@ def _idle_pays(simulation: Simulation, success: Expression) -> list[Finding]:
     prize = total_range(reward.terms, reward.ranges_at(success)).high
     steps = min(reward.analysis.last_step / 2, _horizon(reward))
     if pay > 0.0 and pay * steps > prize:
-        headline = f"doing nothing pays {pay:.3g} per step, and `{success.name}` pays {prize:.3g} once"
-        notes = (
-            f"measured in {row.steps} steps; about {steps:.0f} steps count, given the discount factor of the training and the time limit",
-        )
+        headline = f"doing nothing pays {pay:.3g} in every step, but `{success.name}` pays {prize:.3g} only once"
+        notes = (f"measured in {row.steps} steps; the horizon is about {steps:.0f} steps, given the discount factor and the time limit",)
         also = (Label(success.span, "ends these payments"),)
         return [Finding("DB708", _most_paid(simulation, IDLE).span, headline, _PROGRESS_HELP, notes=notes, labels=also)]
     return []

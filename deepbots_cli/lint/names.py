@@ -78,7 +78,7 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
             if value.name not in used
         ]
         unused += [
-            (("actuators", actuator.name), "an actuator without a command", "give it a command under `apply`, or remove it")
+            (("actuators", actuator.name), "an actuator without a command", "write a command for it under `apply`, or remove it")
             for actuator in robot.actuators
             if actuator.name not in driven
         ]
@@ -103,9 +103,9 @@ _SMOOTH_OPERATIONS = frozenset(
 def equality_of_measures(context: RuleContext) -> Iterator[Finding]:
     """DB411: a condition requires a measurement to be equal to a number.
 
-    A distance, an angle or a speed has sixteen digits and changes in every step. It passes 20 cm without ever being exactly 20 cm, so
-    that `==` holds by chance at best, and `!=` holds at the slightest change. Values that are counted, chosen or clamped can be equal
-    to a number, and so can the place of a fixed object; they are not reported.
+    A distance, an angle or a speed has sixteen digits and changes in every step. It passes 20 cm without ever being
+    exactly 20 cm, so `==` is almost never true, and `!=` is almost always true. The rule does not report counts,
+    choices, clamped values and positions of fixed objects, because they can be equal to a number.
 
     Example::
 
@@ -124,7 +124,7 @@ def equality_of_measures(context: RuleContext) -> Iterator[Finding]:
             if pair is not None:
                 text = context.text(value.owner)
                 measure, constant, written = (text.text[part.start : part.end] for part in (*pair, node))
-                outcome, sign = ("is true only by chance", "<") if node.operator == "equal" else ("holds at the slightest change", ">")
+                outcome, sign = ("is almost never true", "<") if node.operator == "equal" else ("is almost always true", ">")
                 is_zero = isinstance(pair[1], Constant) and not any(pair[1].values)
                 difference = measure if is_zero else f"{measure} - {constant}"
                 help = f"compare with a tolerance, as in `abs({difference}) {sign} ...`"
@@ -169,9 +169,9 @@ def angle_jumps(context: RuleContext) -> Iterator[Finding]:
     """DB506: the change of a heading, or the difference of two headings, jumps by a full turn at 180 deg.
 
     `yaw`, `bearing`, `atan2` and a compass lie between -180 and 180 deg. A turn from 179 to -179 deg is a turn of 2 deg, but
-    `delta` gives -358 deg. A goal at 170 deg is 11 deg away from a heading of -179 deg, but the difference of the two is 349 deg. A reward
-    or an observation that depends on it is wrong for part of the circle. `wrap` gives the shorter way round; `sin` and `cos` need no
-    `wrap`.
+    `delta` gives -358 deg. A goal at 170 deg is 11 deg away from a heading of -179 deg, but the difference of the two
+    is 349 deg. A reward or an observation that depends on such a value is wrong for some headings. `wrap` gives the
+    shorter way round; `sin` and `cos` need no `wrap`.
 
     Example::
 

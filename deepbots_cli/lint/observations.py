@@ -88,7 +88,7 @@ def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
     """DB614: with hindsight replay, an entry of the observation depends on the goal.
 
     Hindsight stores each step once more with another goal. It replaces `desired`, which the policy sees anyway, and recomputes the
-    reward. It cannot change an entry of `observation`, so the agent learns from steps in which it sees two goals at once.
+    reward. It cannot change an entry of `observation`, so the agent learns from steps with two contradictory goals.
 
     Example::
 
@@ -121,7 +121,7 @@ def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
         shared = sources(entry.value) & goal_sources
         if shared:
             headline = f"`{entry.value.name}` depends on the goal, but hindsight replay replaces only `desired`"
-            help = "remove it: the policy sees `achieved` and `desired` in addition to the observation"
+            help = "remove it from the observation: the policy already sees `achieved` and `desired`"
             also = (Label(program.agent.goal.desired.span, f"also depends on `{min(shared)}`"),)
             yield Finding("DB614", entry.value.span, headline, help, labels=also)
 
@@ -136,9 +136,10 @@ class Linear(NamedTuple):
 def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
     """DB616: a value has noise, and the policy sees the exact value elsewhere.
 
-    The policy reads the exact value there, for example in `achieved_goal`, and learns nothing about noise. Two values are the same if
-    they differ by a constant factor and a constant offset. An exact value whose range covers less than a quarter of the range of the
-    noisy value is not reported: it may come from a sensor with a short range.
+    The policy can use the exact value, for example in `achieved_goal`, and does not learn to cope with noise. The rule
+    treats two values as equal if they differ only by a constant factor and a constant offset. An exact value whose
+    range covers less than a quarter of the range of the noisy value is not reported: it may come from a sensor with a
+    short range.
 
     Example::
 
@@ -367,9 +368,9 @@ def often_saturated(simulation: Simulation) -> Iterator[Finding]:
 def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
     """DB318: `auto` gives all joints of a vector one range, and the limits of one of them are much tighter.
 
-    The range of a vector is that of all its parts together. Beside a joint that moves by 52 cm, one that moves by 16 cm uses a third of
-    [-1, 1], and the policy sees it coarsely. Observe each joint by itself. The rule reports positions of joints of which one has less
-    than a third of the range.
+    All components of a vector share one range. If one joint moves by 52 cm and another by 16 cm, the second uses only a
+    third of [-1, 1], so the policy observes it at low resolution. Observe each joint separately. The rule reports joint
+    positions if one joint uses less than a third of the shared range.
 
     Example::
 
@@ -399,7 +400,7 @@ def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
             place = shares.index(min(shares))
             joint, known = entry.value.components[place], range_text(own[place], dimension)
             whole = range_text(Interval(entry.low[0], entry.high[0]), dimension)
-            headline = f"`auto` gives `{joint}` the range {whole} of all joints; its own is {known}"
+            headline = f"`auto` uses one range for all joints, {whole}, but `{joint}` moves only within {known}"
             yield Finding("DB318", span, headline, f"observe each joint by itself, as in `{entry.value.name}.{joint}: auto`")
 
 

@@ -132,9 +132,9 @@ class _PoleSearch:
 def term_dominates(context: RuleContext) -> Iterator[Finding]:
     """DB702: over an episode a term adds up to more than a hundred times what any ending pays.
 
-    The agent cannot learn to reach the goal or to avoid failure, because both have a negligible share of the return. For the sum, the
-    rule takes an episode that lasts until the time limit, and the smallest absolute value that the term can add up to. A term that is the
-    same in every step, such as `alive: 1`, is not reported.
+    The agent cannot learn to reach the goal or to avoid failure, because both have a negligible share of the return.
+    The rule computes the smallest absolute sum of the term in an episode that lasts until the time limit. A term that
+    is the same in every step, such as `alive: 1`, is not reported.
 
     Example::
 
@@ -156,12 +156,10 @@ def term_dominates(context: RuleContext) -> Iterator[Finding]:
             continue
         low = _smallest_sum(reward, node)
         if low > _DOMINANCE_RATIO * prize:
-            headline = f"the absolute sum of `{term.name}` over an episode is at least {low:.4g}"
-            headline += f", and the absolute reward of an ending is at most {prize:.4g}"
+            headline = f"over an episode, `{term.name}` adds up to at least {low:.4g} in absolute value"
+            headline += f", but an ending gives at most {prize:.4g}"
             also = tuple(Label(paid.span, "paid at the end") for paid, _ in final)
-            yield Finding(
-                "DB702", term.span, headline, f"scale `{term.name}` down, or increase the absolute rewards of the endings", labels=also
-            )
+            yield Finding("DB702", term.span, headline, f"scale `{term.name}` down, or scale the rewards of the endings up", labels=also)
 
 
 def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
@@ -204,9 +202,9 @@ def dominating_term(simulation: Simulation) -> Iterator[Finding]:
 def inactive_term(context: RuleContext) -> Iterator[Finding]:
     """DB704: a term of the reward is zero in every step.
 
-    Its condition never holds, it is a difference of constants, or it has a factor of zero. A contact between two links of one robot
-    never holds, since they do not touch each other, and is reported wherever a term uses it. A term that is written as 0, or is
-    multiplied by a parameter of 0, is disabled on purpose, and is not reported.
+    Its condition is never true, it is a difference of constants, or it has a factor of zero. Links of one robot never
+    touch each other, so the rule reports every contact between them. A term that is written as 0, or is multiplied by a
+    parameter of 0, is disabled on purpose, and is not reported.
 
     Example::
 
@@ -221,7 +219,7 @@ def inactive_term(context: RuleContext) -> Iterator[Finding]:
     for term in context.program.agent.reward:
         if touching.get(term.name):
             headline = f"`{touching[term.name][0]}` is never true: links of one robot do not touch each other"
-            yield Finding("DB704", term.span, headline, "compare `clearance(...)` of the two links with a distance")
+            yield Finding("DB704", term.span, headline, "use `clearance(...)` of the two links instead, as in `clearance(a, b) < 1 cm`")
             continue
         if all(term.name in names for names in inactive) and not _is_turned_off(term.typed, context.analysis):
             yield Finding("DB704", term.span, f"`{term.name}` is zero in every step", "remove the term, or correct its condition")
@@ -267,7 +265,7 @@ def silent_term(simulation: Simulation) -> Iterator[Finding]:
             continue
         if not _is_turned_off(term.typed, analysis) and not _is_conditional(term.typed, analysis, set()):
             headline = f"`{term.name}` was zero in all {simulation.steps} simulated steps"
-            help = "correct the term, or add a script under `scripts` that earns it"
+            help = "correct the term, or add a script under `scripts` in which it is not zero"
             yield Finding("DB704", term.span, headline, help, notes=(simulation.summary,))
 
 
@@ -296,7 +294,7 @@ def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
 def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
     """DB711: every episode has the same return, whatever the policy does.
 
-    The reward is the same in every step and no ending makes an episode shorter, so that no action is better than another. A constant
+    The reward is the same in every step and no ending shortens an episode, so no action is better than another. A constant
     such as `alive: 1` needs a failure that ends bad episodes early; a constant cost such as `time: -1` needs a success that ends good
     episodes early. Scenarios without `train` are not reported.
 
@@ -314,7 +312,7 @@ def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
         return
     worth = return_range(context.analysis).low
     headline = f"every episode has the return {worth:.4g}, whatever the policy does"
-    help = "pay for the goal, as in `1 when goal_reached`" if context.program.agent.goal else "pay for the intended behavior"
+    help = "reward the goal, as in `1 when goal_reached`" if context.program.agent.goal else "reward the intended behavior"
     if worth > 0.0:
         help += ", or add a failure that ends a bad episode early"
     elif worth < 0.0:  # a failure would end the costs (DB705)

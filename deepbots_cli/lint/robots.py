@@ -80,7 +80,7 @@ def command_cut_off(context: RuleContext) -> Iterator[Finding]:
             done = min(asked.high, limits.high) - max(asked.low, limits.low)
             if asked.is_finite and not asked.is_single and done < _MIN_SHARE * (asked.high - asked.low):
                 dimension = command.target.typed.type.dimension
-                able = f"receives commands of {range_text(asked, dimension)}, and its limits are {range_text(limits, dimension)}"
+                able = f"receives commands of {range_text(asked, dimension)}, but its limits are {range_text(limits, dimension)}"
                 help = "scale the action to the limits of the actuator"
                 yield Finding("DB312", command.target.span, f"`{command.actuator.name}` {able}", help)
 
@@ -115,10 +115,9 @@ def _follows_action(analysis: Analysis, target: Scalar, robot: Robot) -> bool:
 
 
 def joint_driven_twice(context: RuleContext) -> Iterator[Finding]:
-    """DB313: two actuators drive the motor of the same joint, so that the command of the first is lost.
-
-    A joint has one motor, and the last command counts. The usual cause is a copied line, so that no actuator drives the joint on the
-    other side. A torque or a spring (`stiffness`) adds to the motor, and is not reported.
+    """DB313: two actuators drive the motor of the same joint, so the command of the first one is lost. A joint has one
+    motor, and the last command overrides the others. The usual cause is a copied line, which leaves the joint on the
+    other side without an actuator. A torque or a spring (`stiffness`) adds to the motor, and is not reported.
 
     Example::
 
@@ -149,7 +148,9 @@ def joint_driven_twice(context: RuleContext) -> Iterator[Finding]:
                     for called in (driving[shared], name)
                 )
                 headline = f"`{name}` drives the joint `{shared}`, which `{driving[shared]}` already drives"
-                yield Finding("DB313", second, headline, "give each joint one motor", labels=(Label(first, "driven here"),))
+                yield Finding(
+                    "DB313", second, headline, "drive each joint with only one of the two actuators", labels=(Label(first, "driven here"),)
+                )
             driving |= dict.fromkeys(joints, name)
 
 
@@ -163,10 +164,10 @@ def _held_joints(actuator: Actuator) -> tuple[str, ...]:
 
 
 def limp_at_start(context: RuleContext) -> Iterator[Finding]:
-    """DB314: an arm sinks at the start of an episode, since the first command reaches its torque motors late.
-
-    A torque motor exerts nothing until its first command; position and velocity motors hold. The rule reports joints of robots with a
-    fixed base that gravity moves by more than 2 deg or 5 mm in this time, if the motor is strong enough to hold them.
+    """DB314: an arm sinks at the start of an episode, because the first command reaches its torque motors late. A
+    torque motor exerts no torque until its first command, but position and velocity motors keep the joint in place. The
+    rule reports joints of robots with a fixed base that gravity moves by more than 2 deg or 5 mm in this time, if the
+    motor is strong enough to hold them.
 
     Example::
 
@@ -297,9 +298,7 @@ def _missed(simulation: Simulation, miss: UnreachedPose) -> Finding:
     for name, limit in miss.at_limit.items():
         notes.append(f"joint `{name}` is at its limit of {with_unit(limit, joint_dimension(model.joint(name)))}")
     notes += [f"{miss.unreached_commands} of {miss.commands} commands in this episode are out of reach"] if miss.commands > 1 else []
-    remedy = (
-        "write another `rpy`, or leave it out if any attitude is allowed" if is_turned else "command positions within the reach of the arm"
-    )
+    remedy = "change `rpy`, or remove it if the orientation does not matter" if is_turned else "send positions within the reach of the arm"
     headline = f"`{miss.actuator}` is commanded to a pose that its inverse kinematics misses by {by}"
     help = f"{remedy}; `deepbots inspect` prints the pose of the link at the start of an episode"
     return Finding("DB315", span, headline, help, notes=tuple(notes))
@@ -325,9 +324,10 @@ def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
 def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
     """DB319: a motor without a limit of torque or force.
 
-    The limit of a motor is the `effort` of its joint in the robot file, or `max_torque` of the actuator. deepbots reads `effort="0"` as
-    not stated, since many files write 0 for joints that are driven. A motor without any limit follows its command whatever the load, and
-    pushes everything aside. Torque motors and springs (`stiffness`) are not reported: their command limits them.
+    The limit of a motor is the `effort` of its joint in the robot file, or `max_torque` of the actuator. deepbots
+    treats `effort="0"` as missing, because many files contain 0 for driven joints. A motor without a limit follows its
+    command under any load, and pushes everything aside. Torque motors and springs (`stiffness`) are not reported: their
+    command limits them.
 
     Example::
 
@@ -346,7 +346,7 @@ def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
                 continue
             what, unit = ("force", "N") if free[0].type == "prismatic" else ("torque", "N*m")
             shown = ", ".join(f"`{joint.name}`" for joint in free[:_MAX_NAMES]) + (", ..." if len(free) > _MAX_NAMES else "")
-            headline = f"`{actuator.name}` has unlimited {what}: the robot file gives no effort for {shown}"
+            headline = f"`{actuator.name}` has no limit of {what}: the robot file states no effort for {shown}"
             help = f"write `max_torque` with the {what} of the motor, such as `max_torque: 10 {unit}`"
             notes = ('an effort of 0 in a robot file is read as "not stated"',)
             span = context.values.span_of_first(("robots", robot.name, "actuators", actuator.name), *_JOINT_KEYS)
@@ -356,9 +356,9 @@ def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
 def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
     """DB317: the limits of a joint in a robot file were probably meant in degrees.
 
-    URDF is in radians: `upper="90"` is more than 14 turns. `auto` takes its range from the limits. The rule reports a turning joint that an
+    URDF uses radians: `upper="90"` is more than 14 turns. `auto` uses the limits as the range. The rule reports a turning joint that an
     actuator, a sensor or an expression uses, if its limits are whole numbers and the larger one is from 10 to 360. Joints of
-    several turns, whose limits are multiples of pi, and very large limits that stand for none are not reported.
+    several turns, whose limits are multiples of pi, and very large limits that mean "no limit" are not reported.
 
     Example::
 
@@ -654,7 +654,8 @@ def _passing_over(values: ValueReader, robot: str, sensor: str, clearance: Clear
         named, span = f"`{wall or base}`", values.key_span(next((place for place in places if values.is_present(place)), ("world",)))
     also = (Label(span, f"{top} high"),)
     headline = (
-        f"the rays of `{sensor}` meet nothing: they are at least {height} above the ground, and the tallest body, {named}, ends at {top}"
+        f"the rays of `{sensor}` meet nothing: they are at least {height} above the ground, "
+        f"but the tallest body, {named}, is only {top} high"
     )
     return Finding("DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help, notes=notes, labels=also)
 

@@ -127,7 +127,7 @@ def _unseen(context: RuleContext, analysis: Analysis, view: BlindNumber, ending:
     help, fix = f"widen the range of `{name}`, or of the `clamp` in its value, so that it still changes at the limit", None
     if analysis.identity(number.node) == analysis.identity(view.threshold.quantity):
         end = "high" if view.threshold.above else "low"
-        headline = f"the {end} end of the range of `{name}` is {with_unit(view.edge, number.dimension)}, and the episode fails"
+        headline = f"the {end} end of the range of `{name}` is {with_unit(view.edge, number.dimension)}, but the episode fails only"
         headline += f" at {with_unit(limit, number.dimension)}"
         beyond = limit + (_RANGE_FACTOR - 1.0) * abs(limit) * (1.0 if view.threshold.above else -1.0)
         other = -beyond if number.low == -number.high else beyond
@@ -158,7 +158,7 @@ def _part_of(comparison: ConditionComparison, analysis: Analysis, quantity: Scal
 
 
 def observation_saturates(context: RuleContext) -> Iterator[Finding]:
-    """DB611: a value is at the end of its range in ordinary operation: an accelerometer at rest, or a start beyond the range.
+    """DB611: a value is at the end of its range in normal operation: an accelerometer at rest, or a start beyond the range.
 
     An accelerometer at rest reads the acceleration of gravity, upwards. If its range ends below this value, the axis is constant while
     the robot stands. A value that begins outside its range is constant as well.
@@ -191,7 +191,7 @@ def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
         if is_beyond:
             verb = "starts" if first.is_single else "can start"
             headline = f"`{number.name}` {verb} outside its range: its initial value is {bounds_text(first, number.dimension)}"
-            yield Finding("DB611", context.range_span(number.entry), headline, "widen the range, or start inside the range")
+            yield Finding("DB611", context.range_span(number.entry), headline, "widen the range, or choose a start within it")
 
 
 def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
@@ -205,9 +205,12 @@ def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
         drawn = analysis.start.initial(meant) if isinstance(meant, EngineRead) else drawn
         slack = _ROUNDING * (high - low)
         if drawn is not None and drawn.is_finite and (drawn.low < low - slack or drawn.high > high + slack):
-            headline = f"`desired` can begin outside its range: it is drawn {bounds_text(drawn, goal.desired.typed.type.dimension)}"
+            headline = f"`desired` can be outside its range: it is drawn {bounds_text(drawn, goal.desired.typed.type.dimension)}"
             yield Finding(
-                "DB611", context.values.span(("goal", "range")), headline, "widen the range of the goal, or draw from a smaller one"
+                "DB611",
+                context.values.span(("goal", "range")),
+                headline,
+                "widen the range of the goal, or draw `desired` from a smaller range",
             )
             return
 
@@ -225,7 +228,7 @@ def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
         wide = Interval(min(number.low, -size), max(number.high, size))
         edge = f"the {'high' if reading > 0 else 'low'} end of the range of `{number.name}`"
         headline = f"{edge} is {with_unit(number.high if reading > 0 else number.low, ACCELERATION)}"
-        headline += f", and {f'`{number.name}.{axis}`' if axis else 'its value'} at rest is {with_unit(reading, ACCELERATION)}"
+        headline += f", but at rest {f'`{number.name}.{axis}`' if axis else 'its value'} is {with_unit(reading, ACCELERATION)}"
         help = f"widen the range beyond gravity, for example to `{range_text(wide, ACCELERATION)}`"
         fix = replace_range(context, number, wide, ACCELERATION)
         yield Finding("DB611", context.range_span(number.entry), headline, help, fix=fix)

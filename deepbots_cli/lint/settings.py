@@ -114,7 +114,7 @@ def _check_keys(table: dict[str, object], known: Sequence[str], name: str) -> No
     for key in table:
         if key not in known:
             near = nearest_word(key, known)
-            there = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
+            there = f"did you mean '{near}'?" if near else f"the keys are {', '.join(known)}"
             raise UsageError(f"{name}: unknown key '{key}'; {there}")
 
 
@@ -122,7 +122,7 @@ def _word(value: object, key: str, name: str) -> str:
     if isinstance(value, str) and value in _WORDS[key]:
         return value
     near = nearest_word(value, _WORDS[key]) if isinstance(value, str) else None
-    there = f"did you mean '{near}'?" if near else f"it is one of {', '.join(_WORDS[key])}"
+    there = f"did you mean '{near}'?" if near else f"use one of {', '.join(_WORDS[key])}"
     raise UsageError(f"{name}: '{key}' cannot be {value!r}; {there}")
 
 

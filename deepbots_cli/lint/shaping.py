@@ -40,8 +40,8 @@ def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
     The agent learns the reward as it is written. With the reward printed in the paper for PitEscape, which has the wrong sign, the agent
     learns to stay at the bottom.
 
-    A term pays for the opposite of success if it falls as the quantity approaches what the success requires, and no other term rises.
-    All measures of the distance between two bodies count as one quantity.
+    The rule reports a term that decreases while a quantity approaches the value that success requires, if no other term
+    increases. It treats all distance functions of the same two bodies as one quantity.
 
     Example::
 
@@ -69,7 +69,7 @@ def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
                 verb = f"pays {paid.low:.3g}" if paid.low > 0.0 else f"costs {-paid.high:.3g}"
                 kind = "a failure" if failed else "a success"
                 also = (Label(ending.span, f"{kind} here"),)
-                yield _wrong_sign(term, f"`{ending.name}` is {kind}, and {verb}", also)
+                yield _wrong_sign(term, f"`{ending.name}` is {kind}, but {verb}", also)
                 break
     if reward.is_complete and len(program.successes) == 1:
         yield from _away_from_success(reward, ordinary, program.successes[0])
@@ -183,9 +183,9 @@ def _sum(slopes: list[float | None]) -> float | None:
 def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
     """DB706: the reward depends on a value that differs between episodes and that the policy does not observe.
 
-    The value is a drawn parameter, such as a target or a command, or the place of a body that no entry of the observation and no sensor
-    shows. The agent can only act for the average. Shaping by values that only the supervisor knows, such as a path around
-    obstacles to a visible target, is not reported.
+    The value is a drawn parameter, such as a target or a command, or the position of a body that neither the
+    observation nor a sensor shows. The agent can only learn the action that is best on average. Shaping by values that
+    only the supervisor knows, such as a path around obstacles to a visible target, is not reported.
 
     Example::
 
@@ -214,14 +214,14 @@ def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
         if hidden:
             what = f"the {'drawn parameter' if hidden[0] in drawn else 'body'} `{hidden[0]}`"
             help = f"add an entry that uses `{hidden[0]}` under `augment`, and observe this entry"
-            yield Finding("DB706", term.span, f"`{term.name}` depends on {what}, which the observation does not show", help)
+            yield Finding("DB706", term.span, f"`{term.name}` depends on {what}, which the policy does not observe", help)
 
 
 def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
     """DB710: a term pays more as the episode approaches a failure.
 
     The agent learns to stay close to the failure, or to cause it. The usual cause is a missing sign. The rule checks lengths and angles
-    that are deviations from zero (`abs(x)`, `tilt(robot)`, a distance) and whose large values end in a failure. It reports a term that
+    that are deviations from zero (`abs(x)`, `tilt(robot)`, a distance) and that cause a failure when they are large. It reports a term that
     always pays more just below the limit than at zero. It reports nothing if another term or a success uses the same quantity, so tasks
     that reward an approach without contact are not reported. Speeds are not checked.
 

@@ -57,8 +57,8 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
     """DB316: the physics engine is not installed, or does not support a part of the world.
 
     The rule applies if `world.engine` or `--engine` names the engine. PyBullet has builds up to Python 3.11; later versions of Python use
-    MuJoCo. MuJoCo uses the convex hull of a mesh, so a mesh cannot be the ground. MuJoCo refuses an inertia that no rigid body can have.
-    An engine of another package may not simulate `<mimic>`.
+    MuJoCo. MuJoCo uses the convex hull of a mesh, so a mesh cannot be the ground. MuJoCo does not accept an inertia
+    that no rigid body can have. Some engines of other packages do not simulate `<mimic>`.
     """
     world, kind = context.program.world, ENGINES.get(context.program.engine or "")
     terrain = world.terrain
@@ -72,7 +72,7 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
     followers = [(robot.name, joint) for robot in world.robots for joint in robot.model.followers]
     if followers and not kind.moves_followers:
         headline = (
-            f"the joint `{followers[0][1]}` follows another one (<mimic>), which the engine `{context.program.engine}` does not simulate"
+            f"the engine `{context.program.engine}` does not simulate <mimic>, but the joint `{followers[0][1]}` follows another joint"
         )
         yield Finding("DB316", context.values.span(("world", "engine")), headline, OTHER_ENGINES)
     if kind.implausible_inertia is not None:
@@ -87,7 +87,7 @@ def odd_scale(context: RuleContext) -> Iterator[Finding]:
     """DB507: the size or the mass of an object is implausible.
 
     A puck with `radius: 4 m` is 8 m across; its radius is probably in centimeters. The rule reports an object that is at least four times
-    as large as a robot that begins within it; a movable object of less than 0.1 or more than 25 000 kg/m^3 (air has 1.2, osmium 22 600);
+    as large as a robot that begins within it; a movable object with a density below 0.1 or above 25 000 kg/m^3 (air: 1.2, osmium: 22 600);
     and a movable object that is 100 000 times as heavy as all robots together. For an object that must not move, write `fixed: true`
     instead of a large mass.
 
@@ -183,7 +183,7 @@ def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath,
     carried = sum(link.inertial.mass for robot, _ in robots for link in robot.model.links if link.inertial is not None)
     if carried <= 0.0 or kind.mass < _MAX_MASS_RATIO * carried:
         return None
-    headline = f"`{path[-1]}` weighs {weight}, and all robots together weigh {with_unit(carried, MASS)}"
+    headline = f"`{path[-1]}` weighs {weight}, but all robots together weigh only {with_unit(carried, MASS)}"
     return Finding("DB507", values.span_of_first(path, "mass", "radius", "size"), headline, _in_centimeters(path, values))
 
 
@@ -203,10 +203,10 @@ _KINDS = {
     "crash": ("the physics engine crashes ({})", _STABILITY_HELP),
     "hang": (
         "a step does not return within {}",
-        "check for overlapping bodies, fine meshes and many substeps",
+        "look for overlapping bodies and fine meshes, and use fewer substeps",
     ),
     "memory": ("the simulation needs more memory than {}", "use fewer bodies, smaller meshes or smaller pictures"),
-    "killed": ("another process ended the simulation ({})", "usually the system ran out of memory: make the world smaller"),
+    "killed": ("another process ended the simulation ({})", "the system probably ran out of memory; make the world smaller"),
 }
 
 
@@ -230,7 +230,7 @@ def _stopped(simulation: Simulation, stop: Mapping[str, Any]) -> Iterator[Findin
         case "speed":
             headline = _implausible_motion(stop, body)
         case "lost":
-            headline = f"the motion of `{body}` is no longer a number"
+            headline = f"the motion of `{body}` became infinite or NaN"
         case "engine":
             headline, body = f"the engine stops with an error: {text}", _body_in(simulation, text)
         case "build":
@@ -252,7 +252,7 @@ def _implausible_motion(stop: Mapping[str, Any], body: str) -> str:
         case "joint":
             return f"{joint} moves at {speed:.3g} rad/s or m/s"
         case _:
-            return f"the motion of {joint} is no longer a number"
+            return f"the motion of {joint} became infinite or NaN"
 
 
 def _body_in(simulation: Simulation, text: str) -> str:
@@ -286,7 +286,7 @@ def identical_episodes(context: RuleContext) -> Iterator[Finding]:
         return
     if _varies(context.analysis) or any(contains_draw(tree) for reading in context.values.readings for tree in reading.trees):
         return
-    headline = f"nothing is drawn, so the {program.evaluation.episodes} episodes of an evaluation are identical"
+    headline = f"nothing is random, so the {program.evaluation.episodes} episodes of an evaluation are identical"
     if program.reset.joint_starts:
         start = program.reset.joint_starts[0]
         joint = context.analysis.body(start.robot).model.joint(start.joints[0])
@@ -330,9 +330,9 @@ def _draws_coordinates(place: Placement) -> bool:
 def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
     """DB812: `reset.require` depends only on drawn parameters, which are not drawn again when the requirement does not hold.
 
-    When a requirement does not hold, the layout, all places and the joints are drawn again. Parameters keep their values for the
-    episode, so that all attempts are the same, and the reset fails. Draw the parameter from values that meet the requirement, or draw
-    places under `place`.
+    If a start does not meet the requirement, deepbots draws the layout, all positions and the joints again. Parameters
+    keep their values for the episode, so every attempt is the same, and the reset fails. Draw the parameter from
+    values that meet the requirement, or draw places under `place`.
 
     Example::
 
@@ -359,10 +359,13 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
     sources = sorted((analysis.drawn_dependencies(node) | names) & drawn)
     bent = {subject.partition(".")[0] for fact in facts if not _is_of_root(program, fact) for subject in fact.subjects}
     if sources and not _is_drawn_again(program, places, bent) and analysis.start.of(node) != ALWAYS:
-        headline = (
-            f"if `require` fails, drawing the places again does not help: it depends on `{sources[0]}`, which is drawn once per episode"
+        headline = f"`require` depends on `{sources[0]}`, which is drawn only once per episode, so a new attempt cannot meet it"
+        yield Finding(
+            "DB812",
+            require.span,
+            headline,
+            f"draw `{sources[0]}` only from values that meet the requirement, or draw positions under `reset.place`",
         )
-        yield Finding("DB812", require.span, headline, f"draw `{sources[0]}` from values that meet it, or draw places under `reset.place`")
 
 
 def _is_of_root(program: Program, fact: EngineRead) -> bool:
@@ -398,11 +401,11 @@ def _overlapping(simulation: Simulation, found: MeasuredOverlap) -> Finding:
     notes = (f"{met}, in the reset with seed {found.seed}; {simulation.plan.resets} seeds were simulated",)
     if other[0] == GROUND:
         headline = f"`{first}` begins {depth} below the surface of the ground"
-        help = f"place it {depth} higher, or leave `z` out to let it rest on the ground"
+        help = f"place it {depth} higher, or remove `z` to place it on the ground"
         also = (Label(simulation.body_span(other[0]), "the ground"),) if simulation.program.world.terrain else ()
     else:
         headline = f"`{first}` and `{second}` overlap by {depth} at the start"
-        help = "place them apart, or in a `region`, which finds free positions"
+        help = "place them farther apart, or use a `region`, where deepbots finds free positions"
         there = simulation.placement(other[0]) or simulation.body_span(other[0])
         also = (Label(there, f"`{second}` begins here"),)
     return Finding("DB310", span, headline, help, notes=notes, labels=also)

@@ -47,6 +47,9 @@ Info = dict[str, Any]
 C = TypeVar("C", bound="RobotController")
 M = TypeVar("M", bound=Memory)
 
+TRUE_AT_RESET = "is already true at reset"
+"""Part of the error of an episode that ends before its first step; `deepbots diagnose` recognizes it in the records of a run."""
+
 _CLOSED = "the environment is closed; make a new one"
 
 
@@ -220,7 +223,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
             raise self._no_value(error) from error
         if self.terminated:
             raise EvaluationError(
-                f"the ending '{self.ended_by}' already holds at reset (seed {self.streams.root}); change the start or the ending"
+                f"the ending '{self.ended_by}' {TRUE_AT_RESET} (seed {self.streams.root}); change the start or the ending"
             )
         self._go_on = self._advance
         return self.get_observations(), {**self.get_info(), "drawn": self.drawn()}

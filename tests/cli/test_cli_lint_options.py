@@ -163,7 +163,7 @@ def test_settings_may_be_written_as_values_of_the_table_of_tools(deepbots, files
         ("[lint]\nselect = 'DB5'\n", "'select' must be a list of codes in quotes"),
         ("[lint]\nselect = ['DB77']\n", "deepbots.toml: there is no finding 'DB77'"),
         ("[lint]\nfail-on = 'errors'\n", "did you mean 'error'?"),
-        ("[lint]\nformat = 3\n", "it is one of full, concise"),
+        ("[lint]\nformat = 3\n", "use one of full, concise"),
         ("[lint]\npreview = 'yes'\n", "'preview' must be true or false"),
         ("[lint]\nexclude = [3]\n", "'exclude' must be a list of patterns"),
         ("lint = 3\n", "'lint' must be a table of settings"),

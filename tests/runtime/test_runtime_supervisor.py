@@ -83,7 +83,7 @@ def test_termination_beats_a_limit_in_the_same_step(small: Make) -> None:
 
 def test_an_ending_that_holds_at_the_start_is_told_and_leaves_nothing_to_step(small: Make) -> None:
     environment = small("reward: {a: 1}\ntermination: {failure: {still: abs(position(cart.pole).x) < 1 mm}}")
-    with pytest.raises(EvaluationError, match="'still' already holds at reset"):
+    with pytest.raises(EvaluationError, match="'still' is already true at reset"):
         environment.reset(seed=0)
     with pytest.raises(UsageError, match="reset"):
         environment.step(np.zeros(1))
