@@ -115,7 +115,7 @@ def height_grid(terrain_shape: TerrainShape) -> HeightGrid | None:
         case _:
             return None
     if not np.all(np.abs(found.heights) < _HIGHEST):  # which NaN is not
-        raise EngineError("the terrain has no height, or one that is not between -10 km and 10 km, somewhere within its size")
+        raise EngineError("somewhere in the terrain, the height is undefined or outside -10 km .. 10 km")
     return found
 
 
@@ -249,7 +249,9 @@ def _inertial(link: Link, density: float) -> Inertial:
     """The inertial of a homogeneous link, in axes parallel to those of the link; `density` in kg/m^3."""
     solid = _solid(link)
     if not solid.is_watertight or not solid.is_winding_consistent:
-        raise EngineError(f"the mesh of link '{link.name}' is not watertight, so its density gives no mass; give its `mass` instead")
+        raise EngineError(
+            f"the mesh of link '{link.name}' is not watertight, so its mass cannot be computed from the density; write its `mass` instead"
+        )
     if solid.volume < 0.0:  # every face is inside out
         solid.invert()
     solid.density = density

@@ -89,7 +89,7 @@ def with_explicit_masses(name: str, model: RobotModel, fixed_base: bool) -> Robo
     subtree_mass = model.subtree_mass()
     for joint in model.joints:
         if joint.type in ("floating", "planar"):
-            raise EngineError(f"the engine has no {joint.type} joints such as '{joint.name}' of '{name}'")
+            raise EngineError(f"the engine does not support {joint.type} joints, such as '{joint.name}' of '{name}'")
         if joint.moves and subtree_mass[joint.child] <= 0.0:
             raise EngineError(f"joint '{joint.name}' of '{name}' moves nothing that has mass; give link '{joint.child}' an inertial")
     root = model.link(model.root).inertial
@@ -106,7 +106,7 @@ def _with_heavy_root(name: str, model: RobotModel) -> RobotModel:
     links = [model.link(link).inertial for link in rigid_group(model, model.root)]
     mass = sum(known.mass for known in links if known)
     if mass <= 0.0:
-        raise EngineError(f"root link '{model.root}' of '{name}' has no mass; give it an inertial or fix the base")
+        raise EngineError(f"root link '{model.root}' of '{name}' has no mass; add an <inertial>, or write `base: fixed`")
     trace = ROOT_MASS_FRACTION * mass
     return with_link(model, replace(model.link(model.root), inertial=Inertial(trace, ixx=trace, iyy=trace, izz=trace)))
 

@@ -135,7 +135,7 @@ class Curriculum:
         """
         names = [stage.name for stage in self.stages[self._skipped :][:-1]]
         if [stage.name for stage in state.ends] != names[: len(state.ends)]:
-            raise RunError("the checkpoint counts other stages as done than the scenario has")
+            raise RunError("the finished stages in the checkpoint do not match the scenario")
         self.completed = list(state.ends)
         self._begin(state.first_step)
         self._recent.extend(state.recent)

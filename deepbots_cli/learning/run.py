@@ -479,7 +479,7 @@ def run_lock(folder: Path) -> Iterator[None]:
     try:
         lock = FileLock(path, timeout=0).acquire()
     except Timeout:
-        raise UsageError(f"another training is at work in {folder}; wait for its end, or end it") from None
+        raise UsageError(f"another process is training in {folder}; wait until it finishes, or stop it") from None
     except OSError as error:
         raise UsageError(unwritable_message(folder, error)) from error
     with lock:

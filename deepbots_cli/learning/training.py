@@ -239,7 +239,7 @@ def _training_of(program: Program, total_timesteps: int | None, callbacks: Seque
     kind = learners.class_of(training)
     kind.check(training)
     if callbacks and not kind.takes_callbacks:
-        raise UsageError(f"callbacks follow the built-in algorithms, and {training.algorithm} is none; leave out --callback")
+        raise UsageError(f"callbacks work only with the built-in algorithms; leave out --callback to train with {training.algorithm}")
     algorithms.check_memory(training.environments)
     return training
 

@@ -18,7 +18,7 @@ from deepbots_cli.program.task import Solved
 def solved_verdict(solved: Solved | None, episodes: int, mean_return: float, success_rate: float) -> tuple[bool | None, str]:
     """Whether such an evaluation meets the criterion (None: cannot be told), and why."""
     if solved is None:
-        return None, "the scenario does not say what counts as solved"
+        return None, "the scenario has no `solved` criterion"
     if episodes < solved.episodes and solved.success_rate is not None:
         from deepbots_cli.learning.statistics import gate_rate  # which imports scipy
 

@@ -512,7 +512,7 @@ def serve(port: int | None = None, *, permissions: Permissions = Permissions()) 
         try:
             server.start_tcp("127.0.0.1", port)
         except OSError as error:
-            raise UsageError(f"port {port} of this machine cannot be listened on: {os.strerror(error.errno or 0).lower()}") from None
+            raise UsageError(f"cannot listen on port {port}: {os.strerror(error.errno or 0).lower()}") from None
         return server.exit_code
     # Only the protocol writes to standard output; other prints go to standard error.
     stream = os.fdopen(os.dup(sys.__stdout__.fileno() if sys.__stdout__ else 1), "wb")

@@ -74,7 +74,7 @@ def sequence_driver(actions: Iterable[Any]) -> Driver:
     def act(_: Any) -> Any:
         for action in following:
             return action
-        raise UsageError("the episode goes on after the last action")
+        raise UsageError("no action is left: the episode did not end with the last of the given actions")
 
     return Driver(act)
 

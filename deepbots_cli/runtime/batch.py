@@ -60,7 +60,7 @@ class LostWorld(NamedTuple):
     error: str
 
     def __str__(self) -> str:
-        return f"world {self.world} (seed {self.seed}) was no longer finite in step {self.step} and begins anew"
+        return f"world {self.world} (seed {self.seed}) became infinite or NaN in step {self.step} and was reset"
 
 
 class EpisodeHistory(NamedTuple):
@@ -469,7 +469,7 @@ class BatchSupervisor(_BatchPart, ABC):
         """End the episodes of worlds that are no longer finite."""
         lost = self._lost
         for world in np.flatnonzero(lost[:: self.copies]).tolist():
-            error = self._errors.pop(world, "the state left the range of numbers")
+            error = self._errors.pop(world, "the state became infinite or NaN")
             self.losses.append(LostWorld(world, self.singles[world].streams.root, int(self.step_count[world * self.copies]), error))
         self.reward = np.where(lost, 0.0, self.reward)
         self.terminated, self.truncated = self.terminated & ~lost, self.truncated | lost

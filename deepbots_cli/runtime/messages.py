@@ -242,11 +242,11 @@ def layout_error(layout: MessageLayout, format: str, message: object, step: int)
         return MessageError(f"{place}: the message cannot be read as {format}; {wanted}, got {excerpt(message)}")
     if not values or values[0] != layout.layout_hash:
         return MessageError(
-            f"{place}: a foreign message (stamp {excerpt(values[0] if values else None)}, not {layout.layout_hash}); {wanted}"
+            f"{place}: the message has another layout (stamp {excerpt(values[0] if values else None)}, not {layout.layout_hash}); {wanted}"
         )
     if len(values) - 1 != len(expected):
         missing = [name for name, _ in expected[len(values) - 1 :]]
-        detail = f"the message is short, field '{missing[0]}' is missing" if missing else "the message has values too many"
+        detail = f"the message is too short: field '{missing[0]}' is missing" if missing else "the message has too many values"
         return MessageError(f"{place}: {detail}; {wanted}, got {len(values) - 1}")
     for (name, dtype), value in zip(expected, values[1:], strict=True):
         if not _fits(value, dtype):

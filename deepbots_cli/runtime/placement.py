@@ -277,10 +277,13 @@ def _complaint(lacking: Counter[str], attempts: int, is_set: Sequence[str]) -> s
     if lacking:
         body = lacking.most_common(1)[0][0]
         if body in is_set:
-            return f"'{body}' cannot stand where the options of reset place it: another body is there, or the region ends before"
+            return (
+                f"'{body}' cannot be placed at the position in the reset options: another body is there, or the position is outside its "
+                "region"
+            )
         if 2 * lacking.total() >= attempts:
             return f"there is no free position for '{body}'; use fewer or smaller bodies, less clearance, or a larger region"
-    return "`reset.require` does not hold; weaken the condition, or allow more `attempts`"
+    return "no start met `reset.require`; weaken the condition, or raise `attempts`"
 
 
 class Floor:

@@ -167,7 +167,7 @@ def _numbers(name: str, value: Any, scenario: Program, fixed: Collection[str]) -
     entry = draws.by_name.get(name)
     if entry is not None and entry.words:
         if not isinstance(value, str) or value not in entry.words:
-            raise UsageError(f"reset cannot set {name!r} to {str(value)[:80]!r}: it is one of {', '.join(map(repr, entry.words))}")
+            raise UsageError(f"reset cannot set {name!r} to {str(value)[:80]!r}; use one of {', '.join(map(repr, entry.words))}")
         return [(name, value)]
     if entry is not None:
         (number,) = _array(name, value, ())
@@ -220,7 +220,7 @@ def _checked(entry: EpisodeDraw, number: float, scenario: Program) -> float:
     if options:
         near = min(options, key=lambda option: abs(option - number))
         if abs(near - number) > _ROUNDING * abs(near):
-            raise UsageError(f"reset cannot set {full!r} to {number:g}: it is one of {', '.join(f'{option:g}' for option in options)}")
+            raise UsageError(f"reset cannot set {full!r} to {number:g}; use one of {', '.join(f'{option:g}' for option in options)}")
         return near
     low, high = (entry.low, entry.high) if entry.tree is None else _interval(entry.tree, scenario)
     near = min(max(float(number), low), high)

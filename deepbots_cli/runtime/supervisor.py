@@ -103,7 +103,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
             window = "; for a window, wrap the environment in `gymnasium.wrappers.HumanRendering`" if render_mode == "human" else ""
             raise UsageError(f"render mode {render_mode!r} is unknown; use 'rgb_array' or none{window}")
         if render_mode and "rendering" not in engine.capabilities:
-            raise UsageError(f"the engine '{engine.name}' cannot draw; use the engine 'pybullet' for pictures")
+            raise UsageError(f"the engine '{engine.name}' cannot render; use the engine 'pybullet' for pictures")
         super().__init__(scenario.world.timestep)
         self.scenario = scenario
         self.agent = scenario.agent
@@ -318,7 +318,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         """
         masks = self.allowed()
         if not masks:
-            raise UsageError("only choices have masks, and this action holds none")
+            raise UsageError("action masks need an action with `choices`, but this scenario has none")
         return np.array([may for mask in masks for may in mask])
 
     def action_mask(self) -> Any:

@@ -342,7 +342,7 @@ class Recording:
             MissingExtraError: mcap is not installed.
         """
         if path.exists() and not (path.is_file() or path.is_dir()):  # opening a pipe waits for ever
-            raise RecordingError(f"{path} is no regular file, which every recording is")
+            raise RecordingError(f"{path} is not a regular file")
         try:
             data = read_at_most(path, _MAX_FILE + 1)
         except OSError as error:

@@ -166,7 +166,7 @@ def _free_port(host: str, port: int | None) -> int:
                 probe.bind(address)
                 return int(probe.getsockname()[1])
         except (socket.gaierror, UnicodeError):
-            raise UsageError(f"there is no host '{host}'; 127.0.0.1 is this machine alone, 0.0.0.0 all of its networks") from None
+            raise UsageError(f"there is no host '{host}'; use 127.0.0.1 for this machine only, or 0.0.0.0 for all its networks") from None
         except OSError as error:
             if port is not None or error.errno != errno.EADDRINUSE:
                 reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used ({(error.strerror or '').lower()})"

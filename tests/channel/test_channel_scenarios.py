@@ -209,5 +209,5 @@ def test_a_message_on_a_foreign_channel_is_refused(make: Make) -> None:
     environment = make(REWARD, rival=SCRIPTED)
     environment.reset(seed=0)
     environment.to_rival.transmit(environment.to_cart.wire.encode((1.0,)))
-    with pytest.raises(MessageError, match="robot 'rival', to the robot, step 1: a foreign message"):
+    with pytest.raises(MessageError, match="robot 'rival', to the robot, step 1: the message has another layout"):
         environment.step(np.zeros(1))

@@ -327,5 +327,5 @@ def test_a_pose_that_is_not_finite_is_found_out(engine_name, worlds, build):
     engine = build(engine_name, worlds.rail())
     engine.set_joint("robot", "hinge", float("nan"), 0.0)
     engine.step(4)
-    with pytest.raises(EngineError, match="'robot' left the range of numbers"):
+    with pytest.raises(EngineError, match="'robot' became infinite or NaN"):
         engine.require_finite()

@@ -43,7 +43,7 @@ def test_more_contacts_than_a_batch_adds_up_are_an_error():
         member.reset()
     batch.begin_episodes([0, 1])
     batch.step(4)
-    with pytest.raises(EngineError, match=r"^world 0: a link of 'tray' has 44 contacts, and a batch adds up the forces of 32"):
+    with pytest.raises(EngineError, match=r"^world 0: a link of 'tray' has 44 contacts, but a batch supports at most 32"):
         read()
 
 

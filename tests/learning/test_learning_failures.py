@@ -91,7 +91,7 @@ def test_a_world_of_a_batch_that_is_no_longer_finite_begins_anew_and_its_episode
     assert done.status == "finished"
     assert len(told) == len(files) == (tmp_path / "run" / "monitor.csv").read_text().count("not_finite") > 0
     for text, path in zip(told, files, strict=True):
-        assert re.match(rf"episode \d+ \(seed \d+\), step \d: the pose of 'cart' left the range of numbers\nreproduce .* {path}\n", text)
+        assert re.match(rf"episode \d+ \(seed \d+\), step \d: the pose of 'cart' became infinite or NaN\nreproduce .* {path}\n", text)
         failure, error = reproduce(path)
         assert error is not None
         assert failure.error.endswith(error.partition("), ")[2])

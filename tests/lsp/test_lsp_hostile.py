@@ -179,7 +179,7 @@ def test_a_port_that_is_taken_and_a_folder_that_is_not_there_are_told_in_a_line(
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         for arguments, said in [
-            (["--tcp", str(port)], f"error: port {port} of this machine cannot be listened on: address already in use\n"),
+            (["--tcp", str(port)], f"error: cannot listen on port {port}: address already in use\n"),
             (["--allow-path", "missing"], "error: missing is not a folder; --allow-path needs an existing folder"),
         ]:
             command = [sys.executable, "-m", "deepbots_cli", "lsp", *arguments]

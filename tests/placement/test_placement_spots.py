@@ -161,5 +161,5 @@ def test_a_start_that_is_never_found_names_the_body_and_the_seed(make: Callable[
     with pytest.raises(EvaluationError, match=r"3 attempts \(seed 7\): there is no free position for '(hunter|prey|plank)'"):
         environment.reset(seed=7)
     environment = make("reset.require=ground_distance(hunter, prey) > 5 m", "reset.attempts=3")
-    with pytest.raises(EvaluationError, match=r"`reset.require` does not hold"):
+    with pytest.raises(EvaluationError, match=r"no start met `reset.require`"):
         environment.reset(seed=7)

@@ -302,7 +302,7 @@ def test_a_learner_of_a_plugin_is_trained_evaluated_killed_and_resumed_by_the_sa
     refusal = deepbots(site, "train", "cem.yaml", "--run", "refused", "--set", "train.normalize=reward")
     assert "CrossEntropy does not normalize rewards" in refusal.stderr
     refusal = deepbots(site, "train", "cem.yaml", "--run", "refused", "--callback", "impatient")
-    assert "callbacks follow the built-in algorithms, and CrossEntropy is none; leave out --callback" in refusal.stderr
+    assert "callbacks work only with the built-in algorithms; leave out --callback to train with CrossEntropy" in refusal.stderr
     assert not (site / "refused").exists()
 
 

@@ -82,5 +82,5 @@ def test_a_driver_is_told_which_episode_begins() -> None:
 
 
 def test_an_episode_that_goes_on_after_the_last_action_is_an_error() -> None:
-    with closing(deepbots_cli.make("cartpole")) as world, pytest.raises(UsageError, match="goes on after the last action"):
+    with closing(deepbots_cli.make("cartpole")) as world, pytest.raises(UsageError, match="did not end with the last of the given actions"):
         play(world, sequence_driver([0, 1]), Start(0))

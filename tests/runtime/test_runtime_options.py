@@ -117,7 +117,7 @@ def test_a_limit_as_a_float32_is_that_limit(env: Supervisor) -> None:
         ({"mark": ["0.6", "0"]}, r"it is 2 numbers"),
         ({"mark": [0.6, None]}, r"it is 2 numbers"),
         ({"mark": [0.6, float("nan")]}, r"'mark\.y' to nan: it is not finite"),
-        ({"side": 0.5}, r"'side' to 0\.5: it is one of -1, 1"),
+        ({"side": 0.5}, r"'side' to 0\.5; use one of -1, 1"),
         ({"side": True}, r"'side' to True: it is a single number"),
         ({"crates": 2.5}, r"'crates' to 2\.5: it is a whole number from 1 to 4"),
         ({"push": 3}, r"'push' to 3: it is drawn from -2 to 2"),
@@ -314,7 +314,7 @@ def test_a_free_position_and_a_layout_are_set() -> None:
         drawn = env.reset(seed=0, options={"reset.layout": "scattered", "reset.layouts.scattered.ball.x": 0.3})[1]["drawn"]
         assert (drawn["reset.layout"], drawn["reset.layouts.scattered.ball.x"]) == ("scattered", 0.3)
         assert env.engine.pose("ball")()[0][0] == 0.3
-        with pytest.raises(UsageError, match=r"'reset\.layout' to 'spread': it is one of 'scattered', 'paper'"):
+        with pytest.raises(UsageError, match=r"'reset\.layout' to 'spread'; use one of 'scattered', 'paper'"):
             env.reset(options={"reset.layout": "spread"})
         with pytest.raises(UsageError, match=r"'reset\.layouts\.scattered\.ball\.x' to 7: it is drawn from"):
             env.reset(options={"reset.layouts.scattered.ball.x": 7})
@@ -324,5 +324,5 @@ def test_a_position_that_is_not_free_is_refused_by_name() -> None:
     with closing(api.make("see_ball")) as env:
         drawn = env.reset(seed=0)[1]["drawn"]
         taken = {f"reset.place.ball.{axis}": drawn[f"reset.place.epuck.{axis}"] for axis in "xy"}
-        with pytest.raises(EvaluationError, match=r"'(ball|epuck)' cannot stand where the options of reset place it"):
+        with pytest.raises(EvaluationError, match=r"'(ball|epuck)' cannot be placed at the position in the reset options"):
             env.reset(options=drawn | taken)

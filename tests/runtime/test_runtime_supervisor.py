@@ -160,7 +160,7 @@ def test_a_foreign_message_from_a_robot_is_refused_by_the_supervisor(rail: Path,
     environment = make(rail)
     environment.reset(seed=0)
     environment.from_cart.transmit(environment.to_cart.wire.encode((1.0,)))
-    with pytest.raises(MessageError, match=r"robot 'cart', from the robot, step 1: a foreign message"):
+    with pytest.raises(MessageError, match=r"robot 'cart', from the robot, step 1: the message has another layout"):
         environment.step(0)
 
 

@@ -501,7 +501,7 @@ class MuJoCoBatch:
                 found, forces = self._outputs["sensordata"][:, at : at + 4 * FORCE_SLOTS].reshape(self.count, FORCE_SLOTS, 4).T[:2]
                 if (found[0] > FORCE_SLOTS).any():
                     where = f"world {int(found[0].argmax())}: a link of '{one[0]}' has {int(found[0].max())} contacts"
-                    raise EngineError(f"{where}, and a batch adds up the forces of {FORCE_SLOTS}; simplify its collision shapes")
+                    raise EngineError(f"{where}, but a batch supports at most {FORCE_SLOTS}; simplify its collision shapes")
                 for force, held in zip(forces, found > 0.0, strict=True):
                     total += np.where(held, force, 0.0)
             return total

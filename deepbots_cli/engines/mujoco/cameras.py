@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from deepbots_cli.program.world import WorldModel
 
 UNAVAILABLE_MESSAGE = (
-    "MuJoCo draws with OpenGL, which this machine does not offer without a display; set MUJOCO_GL=egl or MUJOCO_GL=osmesa where one of"
-    " these libraries is installed, or use the engine 'pybullet' for pictures"
+    "MuJoCo cannot render on this machine, because OpenGL needs a display; install EGL or OSMesa and set MUJOCO_GL=egl or "
+    "MUJOCO_GL=osmesa, or use the engine 'pybullet' for pictures"
 )
 
 

@@ -286,7 +286,9 @@ class MuJoCoEngine:
         near, far = self._pool(one[0]), self._pool(other[0])
         for geom in (*self._geoms(one), *self._geoms(other)):
             if self._world.model.geom_type[geom] == mj.mjtGeom.mjGEOM_HFIELD:
-                raise EngineError("MuJoCo knows no distances to terrain; measure them with rays, or use the engine 'pybullet'")
+                raise EngineError(
+                    "MuJoCo cannot compute distances to terrain; measure them with a ray sensor, or use the engine 'pybullet'"
+                )
         read = near.bind_current(
             lambda body: far.bind_current(lambda its: surfaces.clearance(self._world, body.geoms_of(one[1]), its.geoms_of(other[1])))
         )

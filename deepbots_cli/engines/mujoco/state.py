@@ -292,7 +292,7 @@ class MujocoWorld:
                 states = (("pose", pose), ("pose", speed), *states)
             for what, values in states:
                 if not np.isfinite(values).all():
-                    raise EngineError(f"the {what} of '{body.name}' left the range of numbers")
+                    raise EngineError(f"the {what} of '{body.name}' became infinite or NaN")
 
 
 def bounce_spring(restitution: float, step: float) -> tuple[float, float]:

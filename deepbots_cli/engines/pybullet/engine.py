@@ -243,7 +243,7 @@ class PyBulletEngine:
             joints = p.getJointStates(body.number, tuple(body.brakes), client) if body.brakes else ()
             for what, values in (("pose", p.getBasePositionAndOrientation(body.number, client)), ("joints", (j[:2] for j in joints))):
                 if not isfinite(sum(map(sum, values))):
-                    raise EngineError(f"the {what} of '{body.name}' left the range of numbers")
+                    raise EngineError(f"the {what} of '{body.name}' became infinite or NaN")
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
         return state.joints(self._client, *self._joints(robot, joints), self._cache)

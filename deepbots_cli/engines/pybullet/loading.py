@@ -60,7 +60,7 @@ def create_client(world: WorldModel) -> int:
     """A client with the world's gravity and timestep, and nothing in it."""
     client: int = p.connect(p.DIRECT)
     if client < 0:
-        raise EngineError("PyBullet holds no further world in this process; close some environments")
+        raise EngineError("PyBullet cannot create another world in this process; close some environments")
     p.setGravity(*world.gravity, client)
     p.setPhysicsEngineParameter(
         fixedTimeStep=world.timestep / world.substeps, deterministicOverlappingPairs=1, enableFileCaching=0, physicsClientId=client
@@ -104,7 +104,7 @@ def _loaded(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
         for robot in world.robots:
             if len(robot.model.joints) > MAX_JOINTS:
                 count = len(robot.model.joints)
-                raise EngineError(f"'{robot.name}' has {count} joints, and PyBullet holds {MAX_JOINTS} at most, fixed ones included")
+                raise EngineError(f"'{robot.name}' has {count} joints, but PyBullet supports at most {MAX_JOINTS}, including fixed joints")
             model = with_explicit_masses(robot.name, robot.model, robot.fixed_base)
             body = _load(client, robot.name, model, robot.fixed_base, file)
             body.initial_pose = body.center_pose(*frames.frame(robot.pose))

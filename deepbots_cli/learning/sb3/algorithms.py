@@ -141,7 +141,7 @@ def _no_torch(algorithm: type[Model], reason: str) -> str:
 def _device(wanted: str, *, to_learn: bool) -> str:
     """`cpu` or `cuda`. A policy that was trained on a GPU acts on the CPU where there is none."""
     if wanted == "cuda" and to_learn and not torch.cuda.is_available():
-        raise UsageError("'train' asks for the device cuda, and torch finds none; write 'device: auto' to train without")
+        raise UsageError("`train.device` is cuda, but torch finds no CUDA device; write `device: auto` to use the CPU")
     return "cuda" if wanted != "cpu" and torch.cuda.is_available() else "cpu"
 
 

@@ -209,7 +209,7 @@ class ExactEngine:
     def require_finite(self) -> None:
         for name, motion in self._open().items():
             if not motion.finite:
-                raise EngineError(f"the pose of '{name}' left the range of numbers")
+                raise EngineError(f"the pose of '{name}' became infinite or NaN")
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
         motion, indices = self._joints(robot, joints)
