@@ -402,7 +402,7 @@ def _set(root: MappingNode, path: ScalarNode, value: Node | None, whole: Span, f
 def _target(root: MappingNode, path: ScalarNode, findings: Findings) -> tuple[NodePath, list[ScalarNode]] | None:
     """The path to replace, and its last key as written, followed by the keys of a section that is added below it.
 
-    A key may be new. The mapping around it must exist, unless it is a section of the scenario.
+    A key may be new. The mapping around it must exist, unless it is a section of the scenario, or directly inside one.
     """
     dotted = path.text.strip()
     start = path.text.index(dotted)
@@ -433,12 +433,12 @@ def _target(root: MappingNode, path: ScalarNode, findings: Findings) -> tuple[No
     near = nearest_word(name, reached.entries, _CUTOFF)
     if name and not below:
         return (*steps, name), [_key(path, at, end)]
-    if not steps and name and all(below) and not near:
+    if len(steps) <= 1 and name and all(below) and not near:
         keys = []
         for step in (name, *below):
             keys.append(_key(path, at, at + len(step)))
             at += len(step) + 1
-        return (name,), keys
+        return (*steps, name), keys
     help = f"did you mean `{near}`?" if near else _listed(reached)
     if name and all(below) and not near:
         help += f"; to add it, set it whole: `{dotted[: at - start]}{name}={{{': {'.join(below)}: ...{'}' * len(below)}`"

@@ -302,7 +302,7 @@ def test_an_assigned_value_has_its_place_in_the_assignment() -> None:
         ("world.arena.size.x=3", "DB201", "x", "whole value"),
         ("world.area.size=3", "DB201", "area", "did you mean `arena`?"),
         ("world..x=3", "DB201", ".", "there are"),
-        ("world.light.brightness=3", "DB201", "light", "set it whole: `world.light={brightness: ...}`"),
+        ("world.arena.door.width=3", "DB201", "door", "set it whole: `world.arena.door={width: ...}`"),
         ("pole", "DB107", "pole", "path=value"),
         ("pole=", "DB107", "pole=", "path=value"),
         ("pole=null", "DB107", "pole", "no null"),
@@ -326,13 +326,13 @@ def test_an_assignment_that_cannot_be_made_is_reported_in_its_own_text(assignmen
 
 
 def test_a_section_that_the_file_leaves_out_is_begun_by_an_assignment() -> None:
-    document = loads("deepbots: 1\nname: X\n", overrides=["messages.format=none", "train.network.hidden=[8]"])
+    document = loads("deepbots: 1\nname: X\n", overrides=["messages.format=none", "train.network.hidden=[8]", "train.replay.type=her"])
     assert document.root is not None
     assert to_data(document.root) == {
         "deepbots": 1,
         "name": "X",
         "messages": {"format": "none"},
-        "train": {"network": {"hidden": [8]}},
+        "train": {"network": {"hidden": [8]}, "replay": {"type": "her"}},
     }
 
 

@@ -309,9 +309,9 @@ def test_the_replay_buffer_is_taken_up_again(tmp_path: Path) -> None:
         (Training("PPO", 0), "at least 1"),
         (Training("PPOO", 100), "did you mean PPO"),
         (Training("PPO", 100, network=Network((8,) * 17)), "hidden layers"),
-        (Training("SAC", 100), "SAC refuses"),
-        (Training("PPO", 100, hyperparameters=hyper(tau=1.0)), "PPO refuses .*tau"),
-        (Training("PPO", 100, hyperparameters=hyper(batch_size=1)), "PPO refuses"),
+        (Training("SAC", 100), "SAC does not accept"),
+        (Training("PPO", 100, hyperparameters=hyper(tau=1.0)), "PPO does not accept .*tau"),
+        (Training("PPO", 100, hyperparameters=hyper(batch_size=1)), "PPO does not accept"),
     ],
 )
 def test_settings_that_cannot_be_trained_with_are_refused(tmp_path: Path, training: Training, reason: str) -> None:

@@ -223,7 +223,7 @@ def test_a_wrong_option_for_one_copy_is_refused(team: Supervisor, options: dict[
 
 
 def test_a_value_of_one_copy_that_is_given_twice_is_refused(team: Supervisor, make: Callable[..., Supervisor], tmp_path: Path) -> None:
-    pushed = make(tmp_path / "team.yaml", "reset.place.cart.velocity=uniform(0 0 0 .. 0.1 0.1 0 m/s)", engine="pybullet")
+    pushed = make(tmp_path / "team.yaml", "reset.place.cart={velocity: uniform(0 0 0 .. 0.1 0.1 0 m/s)}", engine="pybullet")
     velocity = "cart#1.reset.place.cart.velocity"
     with pytest.raises(UsageError, match=rf"'reset\.place\.cart\.velocity\.x' twice: by '{velocity}\.x'"):
         pushed.reset(options={velocity: [0.05, 0.05, 0.0], f"{velocity}.x": 0.1})

@@ -260,7 +260,7 @@ def test_an_action_that_cannot_be_is_told_in_a_sentence(find_ball, tmp_path, cap
 
 def test_a_pipe_is_no_recording(tmp_path):
     os.mkfifo(tmp_path / "pipe.mcap")
-    with pytest.raises(RecordingError, match="no regular file"):
+    with pytest.raises(RecordingError, match="not a regular file"):
         Recording.read(tmp_path / "pipe.mcap")
 
 
