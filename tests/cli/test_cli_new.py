@@ -115,7 +115,7 @@ ROBOTS = {
     "cartpole_rail": "upright",
     "a1": "legs",
     "panda": "arm",
-    "roller": "gets about",
+    "roller": "moves away",
     "quadrotor": "rotors",
 }
 
