@@ -1,7 +1,7 @@
 """Robustness: a policy under conditions that it was not trained for, one changed at a time and by several amounts.
 
-Each condition is a change of the scenario, which is compiled anew: a small scenario that `extends` it. The changes therefore apply to
-any scenario that has such values. All levels have the same starts.
+Each condition is a change of the scenario, laid upon it as a file upon the one that it `extends`, and compiled anew. The changes
+therefore apply to any scenario that has such values. All levels have the same starts.
 """
 
 from __future__ import annotations
@@ -9,14 +9,18 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
-from deepbots_cli.document import MappingNode, Node, Permissions, ScalarNode
-from deepbots_cli.document.nodes import entries_at, node_at
+from deepbots_cli.compiler import check
+from deepbots_cli.diagnostics import Findings
+from deepbots_cli.diagnostics import Source as SourceText
+from deepbots_cli.document import Document, MappingNode, Node, Permissions, ScalarNode, SequenceNode
+from deepbots_cli.document.load import TESTS, merge, with_settings_at
+from deepbots_cli.document.nodes import NodePath, entries_at, node_at, without_paths
+from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
 from deepbots_cli.learning.run import ModelName, Run
@@ -118,6 +122,8 @@ def evaluate_robustness(
     model: ModelName = "best",
     scenario: str | Path | None = None,
     overrides: Sequence[str] = (),
+    case: str | None = None,
+    stage: str | None = None,
     min_success: float | None = None,
     min_return: float | None = None,
     mass_of: str | None = None,
@@ -137,6 +143,7 @@ def evaluate_robustness(
         episodes: Episodes of each level; by default those of the scenario, at most 50.
         scenario: Another scenario to change, by its path or name.
         overrides: Assignments `path=value` for all levels.
+        case: Name of a case of the evaluation, whose settings all levels have; `stage` is the same for the curriculum.
         min_success: The required success rate; by default that of `solved`, or 80 % of the rate in the unchanged scenario.
         min_return: The bar of the mean return, in the place of the success rate.
         mass_of: The link (`ROBOT.LINK`) or object whose mass is changed; by default the heaviest link that can move.
@@ -149,12 +156,13 @@ def evaluate_robustness(
     """
     known = run if isinstance(run, Run) else Run.open(run)
     base = Source.kept(known.path, permissions) if scenario is None else Source.open(scenario, permissions, SourceKind.SCENARIO)
-    changed = partial(changed_scenario, base, overrides=overrides)
-    plain = changed({})
-    root = base.document(overrides=overrides).root
-    count = min(EPISODES_PER_LEVEL, plain.program.evaluation.episodes) if episodes is None else episodes
-    given: dict[str, Any] = {"episodes": count, "seed": seed, "model": model, "permissions": permissions, **options}
-    planned = list(plans(root, plain.program, mass_of)) if root is not None else []
+    plain = api.compile(base.checked(overrides=overrides))
+    program = plain.program.variant(case, stage)
+    document = base_document(base, overrides, case, stage)
+    usual = plain.program.evaluation.episodes if case is None else plain.program.case(case).episodes
+    given: dict[str, Any] = {"episodes": min(EPISODES_PER_LEVEL, usual) if episodes is None else episodes, "case": case, "stage": stage}
+    given |= {"seed": seed, "model": model, "permissions": permissions, **options}
+    planned = list(plans(document.root, program, mass_of)) if document.root is not None else []
     total = 1 + sum(len(levels) for _, levels in planned)
     done = 0
 
@@ -167,11 +175,11 @@ def evaluate_robustness(
         return result
 
     nominal = measured(plain)
-    metric, bar, source = _bar(plain.program, nominal, min_success, min_return)
+    metric, bar, source = _bar(program, nominal, min_success, min_return)
     conditions = []
     for name, levels in planned:
         try:
-            compiled = [(label, changed(change)) for label, change in levels]
+            compiled = [(label, changed_scenario(document, change)) for label, change in levels]
             results = [(label, measured(level)) for label, level in compiled]
         except ScenarioError as error:
             total -= len(levels)
@@ -180,23 +188,43 @@ def evaluate_robustness(
         except DeepbotsError as error:
             raise type(error)(f"{name}: {error}") from error
         conditions.append(Condition(name, tuple(_level(label, result, metric, bar) for label, result in results)))
-    return Robustness(known.path, plain.program.name, metric, bar, source, nominal, tuple(conditions))
+    return Robustness(known.path, program.name, metric, bar, source, nominal, tuple(conditions))
 
 
-def changed_scenario(base: Source, change: Change, *, overrides: Sequence[str] = ()) -> Compiled:
-    """The scenario of `base` with the keys of `change` and without its cases, compiled; `overrides` are applied last.
+def base_document(base: Source, overrides: Sequence[str] = (), case: str | None = None, stage: str | None = None) -> Document:
+    """What all levels share: a scenario that compiles, with the settings of the case or stage applied, and without tests.
+
+    Of the cases and stages, only the name of this one is left: a setting of it may replace what a level changes, such as the ground by a
+    terrain.
+    """
+    document = base.document(overrides=overrides)
+    root = document.root
+    assert root is not None
+    variants: dict[NodePath, bool] = {("evaluation", "cases", name): name == case for name in entries_at(root, "evaluation", "cases")}
+    stages = node_at(root, "curriculum")
+    for index, item in enumerate(stages.items if isinstance(stages, SequenceNode) else ()):
+        variants["curriculum", index] = _text(item, "name") == stage
+    removed: list[NodePath] = [(TESTS,), *([("curriculum",)] if stage is None else [])]
+    for path, is_chosen in variants.items():
+        if is_chosen:
+            root = with_settings_at(root, path)
+        removed += [(*path, "set"), (*path, "until")] if is_chosen else [path]
+    bare = without_paths(root, removed)
+    assert isinstance(bare, MappingNode)
+    return replace(document, root=bare)
+
+
+def changed_scenario(document: Document, change: Change) -> Compiled:
+    """The scenario with the keys of `change`, compiled.
 
     Raises:
         ScenarioError: The changed scenario has errors.
     """
-    # A case may replace what a change modifies, such as the ground by a terrain.
-    document = base.document()
-    removed: Change = {"remove": ["evaluation.cases"]} if node_at(document.root, "evaluation", "cases") is not None else {}
-    # A draft beside the scenario: nothing is written, and relative paths mean the same.
-    path = document.path.with_name(f"{document.path.stem}.changed.yaml")
-    text = json.dumps({"extends": document.path.name, **removed, **change})
-    checked = replace(base, scenario=path).checked(overrides=overrides, drafts={path: text.encode()})
-    return replace(api.compile(checked), source=document.path)
+    findings = Findings(document.findings.limit)
+    over = parse(SourceText("the change", json.dumps(change)), findings)
+    assert document.root is not None
+    assert isinstance(over, MappingNode)
+    return api.compile(check(replace(document, root=merge(document.root, over), findings=findings)))
 
 
 def _level(label: str, result: EvaluationResult, metric: Metric, bar: float) -> RobustnessLevel:

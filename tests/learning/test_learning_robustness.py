@@ -10,21 +10,21 @@ import stand_in
 
 from deepbots_cli import api
 from deepbots_cli.cli.records import robustness_text
-from deepbots_cli.document import load
+from deepbots_cli.document import Document, load
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import TrainingResult, evaluate_robustness
-from deepbots_cli.learning.robustness import Change, _bar, changed_scenario, plans
+from deepbots_cli.learning.robustness import Change, _bar, base_document, changed_scenario, plans
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program, identity
 from deepbots_cli.rollout.source import Source
 
 
-def changes(name: str) -> tuple[Source, dict[str, dict[str, Change]]]:
-    """The file of a shipped scenario, and the changes of each condition by level."""
-    base = Source.open(name)
-    root = base.document().root
-    assert root is not None
-    return base, {condition: dict(levels) for condition, levels in plans(root, api.compile(name).program)}
+def changes(name: str, case: str | None = None, stage: str | None = None) -> tuple[Document, dict[str, dict[str, Change]]]:
+    """A shipped scenario, in a case or stage, and the changes of each condition by level."""
+    base = base_document(Source.open(name), (), case, stage)
+    assert base.root is not None
+    program = api.compile(name).program.variant(case, stage)
+    return base, {condition: dict(levels) for condition, levels in plans(base.root, program)}
 
 
 def masses(program: Program) -> list[float]:
@@ -75,12 +75,25 @@ def test_each_condition_changes_what_it_says_and_nothing_else() -> None:
     assert [number.std.value / (number.high - number.low) for number in noisy] == pytest.approx([0.1] * 4)  # type: ignore[union-attr]
 
 
+@pytest.mark.parametrize(("name", "case", "stage"), [("quadruped", "rough", None), ("find_ball_random", None, "crowded")])
+def test_in_a_case_or_stage_its_settings_apply_before_the_changes(name: str, case: str | None, stage: str | None) -> None:
+    base, found = changes(name, case, stage)
+    plain = api.compile(name).program.variant(case, stage)
+
+    def variant(change: Change) -> Program:
+        return changed_scenario(base, change).program.variant(case, stage)
+
+    assert identity.task_digest(variant({})) == identity.task_digest(plain)
+    assert "friction of the ground" in found
+    for levels in found.values():
+        assert identity.task_digest(variant([*levels.values()][-1])) != identity.task_digest(plain)
+
+
 def test_the_link_or_object_whose_mass_is_changed_can_be_named(trained: TrainingResult) -> None:
     for scenario, name in (("cartpole", "cart.pole"), ("panda_push", "block")):
-        base = Source.open(scenario)
-        root = base.document().root
-        assert root is not None
-        found = dict(plans(root, api.compile(scenario).program, name))
+        base = base_document(Source.open(scenario))
+        assert base.root is not None
+        found = dict(plans(base.root, api.compile(scenario).program, name))
         assert changed_scenario(base, dict(found[f"mass of {name}"])["x 2"]).digest != api.compile(scenario).digest
     with pytest.raises(UsageError, match=r"nothing called 'cart.poel' has a mass; choose from: cart\.body, "):
         evaluate_robustness(trained.run, mass_of="cart.poel", build=stand_in.build)
