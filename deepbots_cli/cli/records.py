@@ -262,12 +262,17 @@ def group_json(group: GroupResult) -> dict[str, Any]:
 
 
 def robustness_text(found: Robustness) -> str:
-    """A row for each level of each condition, and for each condition where the result falls below the bar."""
+    """A row for each level of each condition, and for each condition where the result falls below the required score."""
     is_rate = found.metric == "success_rate"
     levels = [("(no change)", "", found.nominal, found.nominal_holds, found.nominal_certain)]
     levels += [(each.name, part.level, part.evaluation, part.holds, part.certain) for each in found.conditions for part in each.levels]
     rows = [
-        {"condition": name, "level": level, **scores(result), "bar": ("holds" if holds else "below") + ("" if certain else ", uncertain")}
+        {
+            "condition": name,
+            "level": level,
+            **scores(result),
+            "required": ("met" if holds else "missed") + ("" if certain else ", not significant"),
+        }
         for name, level, result, holds, certain in levels
     ]
     changed = {name for name, _, result, _, _ in levels if _episodes(result) != _episodes(found.nominal)}
@@ -275,12 +280,13 @@ def robustness_text(found: Robustness) -> str:
     notes = [f"no effect on any episode (the lengths and returns are unchanged): {', '.join(same)}"] if same else []
     if not found.nominal_holds:
         option = "--min-success" if is_rate else "--min-return"
-        notes.append(f"the policy is below the bar without any change; set another bar with {option}")
+        notes.append(f"the policy misses the required score even without any change; set another one with {option}")
     return "\n".join(
         [
             f"robustness of {found.run} in {found.scenario}: {found.nominal.episodes} held-out episodes of each level,"
             f" from seed {found.nominal.seed}{in_parentheses(found.nominal.circumstances)}",
-            f"bar: {'success rate' if is_rate else 'mean return'} of {(percent if is_rate else number)(found.bar)} ({found.bar_source})",
+            f"required: {'success rate' if is_rate else 'mean return'} of at least {(percent if is_rate else number)(found.bar)}"
+            f" ({found.bar_source})",
             table(rows),
             "",
             row_as_lines({condition.name: condition.threshold for condition in found.conditions}),

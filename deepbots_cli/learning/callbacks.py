@@ -349,5 +349,5 @@ def check_finite(learner: Learner, run: Run) -> None:
     if name is not None:
         raise RunError(
             f"the training diverged: '{name}' contains infinite or NaN values after {learner.steps:,} steps; "
-            f"the last good model is kept in {run.model('last').parent}; a lower learning rate or smaller rewards may help"
+            f"the last good model is in {run.model('last').parent}; try a lower learning rate or smaller rewards"
         )

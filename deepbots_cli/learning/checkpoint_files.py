@@ -147,7 +147,7 @@ def read_state(folder: Path, model: type[S]) -> S:
     """Raises: RunError: The checkpoint is damaged."""
     state = read_json(folder / "state.json", model, _MAX_STATE_BYTES)
     if state.steps != int(folder.name):
-        raise RunError(f"{folder} is damaged: it was taken after {state.steps:,} steps")
+        raise RunError(f"{folder} is damaged: its state was saved after {state.steps:,} steps, which its name contradicts")
     return state
 
 
@@ -160,11 +160,11 @@ def damage_explained(run: Run, folder: Path | None) -> Iterator[None]:
         known = error
         if not isinstance(error, RunError):
             reason = " ".join(str(error).split())[:200]
-            known = RunError(f"{folder} is damaged, or of another training ({type(error).__name__}: {reason})")
+            known = RunError(f"{folder} is damaged, or belongs to another training ({type(error).__name__}: {reason})")
         path = quote(str(run.path))
         known.add_note("the run has no earlier checkpoint; its policies can still be evaluated: deepbots eval " + path)
         scenario = quote(str(run.path / RESOLVED_NAME))
-        known.add_note(f"to begin anew with the weights of the best one: deepbots train {scenario} --initialize-from {path}")
+        known.add_note(f"to start a new run with the weights of the best policy: deepbots train {scenario} --initialize-from {path}")
         raise known from error
 
 
@@ -244,10 +244,10 @@ def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, spec: ArraySp
         size = math.prod(shape) * dtype.itemsize
         content = stream.read(size + 1)
     if len(content) != size:
-        raise ValueError(f"{name} does not hold what its header says")
+        raise ValueError(f"{name} does not match its header")
     array = np.frombuffer(content, dtype).reshape(shape).copy()
     if dtype.kind == "f" and not np.isfinite(array).all():
-        raise ValueError(f"{name} holds a number that is not finite")
+        raise ValueError(f"{name} contains infinite or NaN values")
     return array
 
 
@@ -273,4 +273,4 @@ def flush_to_disk(path: Path) -> None:
 def check_actions(actions: Array, space: Any) -> None:
     """Refuse a choice that the agent does not have, on which an update would fail."""
     if hasattr(space, "n") and not ((actions >= space.start) & (actions < space.start + space.n)).all():
-        raise ValueError("it holds actions that the scenario does not have")
+        raise ValueError("it contains actions that the scenario does not have")

@@ -253,7 +253,7 @@ class Checkpoints:
             if here.get(name) != value:
                 self.note(f"{name} changed at {state.steps:,} steps from {value} to {here.get(name)}")
         if state.digest != self.run.digest:
-            self.note(f"the scenario has meant something else since {state.steps:,} steps")
+            self.note(f"the scenario now compiles to a different program than at {state.steps:,} steps")
         self._learner.restore(state, arrays, self._repeat_episodes(state, arrays))
         self._log.restore(state.pending)
         version, words, gauss = state.python

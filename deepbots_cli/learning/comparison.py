@@ -103,7 +103,7 @@ class GroupDifference:
             return self._verdict_on_returns
         difference = f"{abs(steps.mean):,.0f} {'fewer' if steps.mean < 0 else 'more'} steps of training"
         interval = "(95 % interval of the difference: {:,.0f} .. {:,.0f})".format(*steps.interval)
-        sooner = f"it is solved after {difference}" if steps.certain else f"it is solved after {difference}, and 0 is possible"
+        sooner = f"it is solved after {difference}" if steps.certain else f"it is solved after {difference}, but the interval contains 0"
         return f"{self._verdict_on_returns}; {sooner} {interval}"
 
     @property
@@ -118,7 +118,8 @@ class GroupDifference:
         size, sign = f"{abs(difference.mean):.4g}", "higher" if difference.mean >= 0 else "lower"
         if not difference.certain:
             return (
-                f"{self.group}: no significant difference from {self.first}; the mean return is {size} {sign}, and 0 is possible {interval}"
+                f"{self.group}: no significant difference from {self.first}; the mean return is {size} {sign}, "
+                f"but the interval contains 0 {interval}"
             )
         return (
             f"{self.group} is {'better' if difference.mean > 0 else 'worse'} than {self.first}: the mean return is {size} {sign} {interval}"
@@ -177,7 +178,7 @@ def compare(
         UsageError: There are fewer than two runs, or `own` comes with a scenario.
     """
     if own and scenario is not None:
-        raise UsageError("each run is evaluated in its own scenario, or all in a given one; choose one of the two")
+        raise UsageError("choose one: evaluate each run in its own scenario (--own), or all runs in one scenario (--scenario)")
     members = _members([Path(path) for path in runs])
     opened = [run for group in members for run in group.runs]
     if len(opened) < 2:
@@ -309,7 +310,7 @@ def _open_runs(group: Group) -> _GroupMembers:
     """
     ready = group.runs_with_model
     if not ready:
-        raise RunError(f"{group.path} holds no trained run yet; train it with: deepbots train --resume {group.path}")
+        raise RunError(f"{group.path} contains no trained run yet; train it with: deepbots train --resume {group.path}")
     waiting = tuple(seed for seed in group.record.seeds if group.run(seed) not in ready)
     return _GroupMembers(group.path.name, [Run.open(run) for run in ready], waiting)
 

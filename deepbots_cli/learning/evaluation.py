@@ -261,7 +261,7 @@ class _Setting:
         self.program, self.case, self.stage = program.variant(case, stage), case, stage
         self.episodes, self.seed = usual if episodes is None else episodes, run.record.seed if seed is None else seed
         if self.episodes < 1 or self.seed < 0:
-            raise UsageError(f"{self.episodes} episodes from seed {self.seed} cannot be evaluated; episodes count from 1, seeds from 0")
+            raise UsageError(f"episodes must be at least 1 and the seed at least 0, not {self.episodes} and {self.seed}")
         engine = engine or run.engine_for(self.program)
         self.engine = None if build else engine
         self.build = build or supervisor_factory(engine, permissions=permissions)

@@ -136,7 +136,7 @@ class FailureRecorder(HistoryRecorder):
 class BatchFailureRecorder:
     """The failures of a batch of worlds in a training.
 
-    A world that is no longer finite begins anew: its episode is lost. A batch that raises an error has failed.
+    A world that becomes infinite or NaN is reset: its episode is lost. A batch that raises an error has failed.
 
     Args:
         run: The run that keeps a file of each failure.
@@ -169,8 +169,10 @@ class BatchFailureRecorder:
         text = _failure_text(error, number, history, run=self._run, stage=self._curriculum.name_of(stage))
         if again_and_again:
             window = min(number, LOSS_WINDOW_EPISODES)
-            raise EngineError(f"in {MAX_LOST_EPISODES} of the last {window} episodes a world was no longer finite; the last is {text}")
-        self._reporter.note(f"{text}\nworld {loss.world} begins anew")
+            raise EngineError(
+                f"in {MAX_LOST_EPISODES} of the last {window} episodes the state became infinite or NaN; the last one is {text}"
+            )
+        self._reporter.note(f"{text}\nworld {loss.world} was reset")
 
     def record_failed(self, stage: int, histories: Sequence[EpisodeHistory]) -> None:
         """Find the episode that fails: repeat the running episodes of a stage in a single world, until one fails.

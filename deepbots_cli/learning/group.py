@@ -90,13 +90,15 @@ class Group:
         path = Source.open(path, Permissions(), SourceKind.GROUP).path
         found = read_json(path / GROUP_RECORD_NAME, RecordFormat, _MAX_RECORD_BYTES).format
         if found != FORMAT:
-            raise RunError(f"{path} is a group of format {found}, this deepbots reads {FORMAT}; use the deepbots that wrote it")
+            raise RunError(
+                f"{path} is a group of format {found}, but this version of deepbots reads {FORMAT}; use the version that wrote it"
+            )
         record = read_json(path / GROUP_RECORD_NAME, GroupRecord, _MAX_RECORD_BYTES)
         if len(set(record.seeds)) < len(record.seeds):
-            raise RunError(f"{path / GROUP_RECORD_NAME} is damaged: it names a seed twice")
+            raise RunError(f"{path / GROUP_RECORD_NAME} is damaged: it lists a seed twice")
         for name in (GROUP_RECORD_NAME, RESOLVED_NAME, INPUTS_FOLDER, *(f"seed-{seed}" for seed in record.seeds)):
             if (path / name).is_symlink():
-                raise RunError(f"{path / name} is a symbolic link, which no group of ours holds")
+                raise RunError(f"{path / name} is a symbolic link; deepbots does not write symbolic links into a group")
         return Group(path, record)
 
     def write(self) -> None:
@@ -171,7 +173,7 @@ def train_group(
     if unknown := options.keys() - TrainingOptions.__annotations__.keys():
         raise TypeError(f"a training has no option {', '.join(sorted(unknown))}")
     if not seeds or len(set(seeds)) < len(seeds) or len(seeds) > MAX_SEEDS:
-        raise UsageError(f"a group has from 1 to {MAX_SEEDS} seeds, each of them once")
+        raise UsageError(f"a group needs 1 to {MAX_SEEDS} different seeds")
     path = new_directory(group, runs, compiled.program.name, "seeds")
     kept: dict[str, Any] = {**options}
     kept |= {name: tuple(kept.get(name, ())) for name in ("callbacks", "loggers", "command")}

@@ -173,7 +173,7 @@ class Learner(ABC):
             RunError: The file is missing or damaged.
             UsageError: The learner cannot do this, or nothing fits.
         """
-        raise UsageError(f"{self.setup.training.algorithm} cannot begin with the weights of another run; leave out --initialize-from")
+        raise UsageError(f"{self.setup.training.algorithm} does not support --initialize-from; leave it out")
 
     # Checkpoints
 
@@ -325,7 +325,7 @@ def steps_of(path: Path) -> int:
             return int(json.loads(member.read(_MAX_DATA_BYTES))["num_timesteps"])
     except (OSError, ArithmeticError, EOFError, KeyError, RuntimeError, TypeError, ValueError, zipfile.BadZipFile) as error:
         # It is encrypted, packed otherwise, or its steps are infinite.
-        raise RunError(f"{path} is damaged, or no model of ours") from error
+        raise RunError(f"{path} is damaged, or was not written by deepbots") from error
 
 
 def _specs(arrays: Mapping[str, Array]) -> dict[str, ArraySpec]:

@@ -79,12 +79,12 @@ class Condition:
         failed = [entry.level for entry in self.levels if not entry.holds]
         held = [entry.level for entry in self.levels if entry.holds]
         if not failed:
-            return "holds at all levels"
+            return "meets the requirement at all levels"
         if not held:
-            return "below the bar at all levels"
+            return "misses the requirement at all levels"
         if failed == [entry.level for entry in self.levels[len(held) :]]:
-            return f"holds up to {held[-1]}, below the bar from {failed[0]} on"
-        return f"holds at {', '.join(held)}; below the bar at {', '.join(failed)}"
+            return f"meets the requirement up to {held[-1]}, misses it from {failed[0]} on"
+        return f"meets the requirement at {', '.join(held)}; misses it at {', '.join(failed)}"
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def evaluate_robustness(
         overrides: Assignments `path=value` for all levels.
         case: Name of a case of the evaluation, whose settings all levels have; `stage` is the same for the curriculum.
         min_success: The required success rate; by default that of `solved`, or 80 % of the rate in the unchanged scenario.
-        min_return: The bar of the mean return, in the place of the success rate.
+        min_return: The required mean return, in place of the success rate.
         mass_of: The link (`ROBOT.LINK`) or object whose mass is changed; by default the heaviest link that can move.
         on_level: Is called after each evaluation with the number of those done and of all.
         options: Further arguments of `evaluate`; `seed`, `model` and `permissions` are as there.
@@ -336,11 +336,12 @@ def _mass(root: MappingNode, program: Program, name: str | None) -> tuple[str, C
     objects = [key for key in written if key not in fixed]
     if name is not None and name not in links and name not in objects:
         reason = (
-            f"'{name}' is fixed to the world, so its mass changes no motion"
+            f"'{name}' is fixed to the world, so its mass has no effect"
             if name in heavy or name in written
-            else (f"nothing called '{name}' has a mass")
+            else f"there is no link or object '{name}' with a mass"
         )
-        raise UsageError(f"{reason}; choose from: {', '.join([*links, *objects]) or 'nothing here'}")
+        choices = ", ".join([*links, *objects])
+        raise UsageError(f"{reason}; choose from: {choices}" if choices else reason)
     chosen = name or max(links, key=lambda link: links[link], default=None)
     if chosen is None:
         return None

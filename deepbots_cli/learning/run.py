@@ -171,9 +171,10 @@ class RunRecord(BaseModel):
         path = folder / RECORD_NAME
         found = read_json(path, RecordFormat, _MAX_RECORD_BYTES).format
         if found != FORMAT:
-            age = "a newer deepbots" if found > FORMAT else "an older deepbots"
+            age = "a newer version of deepbots" if found > FORMAT else "an older version of deepbots"
             raise RunError(
-                f"{folder} is a run of format {found}, from {age}; this one reads format {FORMAT}: use the deepbots that wrote it"
+                f"{folder} is a run of format {found}, written by {age}, but this version reads format {FORMAT}; "
+                "use the version that wrote it"
             )
         return read_json(path, cls, _MAX_RECORD_BYTES)
 
@@ -198,7 +199,7 @@ def read_json(path: Path, model: type[M], limit: int) -> M:
     except OSError as error:
         raise RunError(f"{path} cannot be read: {error.strerror}") from error
     if len(content) > limit:
-        raise RunError(f"{path} is larger than {limit} bytes, which no run of ours is")
+        raise RunError(f"{path} is larger than {limit} bytes, so deepbots did not write it")
     try:
         return model.model_validate_json(content)
     except ValidationError as error:
@@ -256,8 +257,8 @@ class Run:
         here, there, stages = deepbots_cli.__version__, self.record.deepbots, [stage.name for stage in self.program.curriculum]
         found = [] if there == here else [f"{self.path} was trained by deepbots {there}, but this is deepbots {here}"]
         if self.digest != self.record.digest:
-            cause = "to this deepbots" if found else "since it was changed after the training"
-            found.append(f"the scenario in {self.path} means something else {cause}; the policy still fits its interface")
+            cause = "with this version of deepbots" if found else "because it was changed after the training"
+            found.append(f"the scenario in {self.path} compiles to a different program {cause}; the policy still fits its interface")
         stage = self.record.result.stage if self.record.result else None
         if stage in stages[:-1]:
             found.append(f"the training ended in stage {stage}, number {stages.index(stage) + 1} of {len(stages)}")
@@ -455,9 +456,9 @@ def _check_plain(run: Path) -> None:
         members += (run / folder).rglob("*") if not (run / folder).is_symlink() else ()
     for member in members:
         if member.is_symlink():
-            raise RunError(f"{member} is a symbolic link, which no run of ours holds")
+            raise RunError(f"{member} is a symbolic link; deepbots does not write symbolic links into a run")
         if member.exists() and not (member.is_file() or member.is_dir()):
-            raise RunError(f"{member} is neither a file nor a directory, which no run of ours holds")
+            raise RunError(f"{member} is neither a file nor a directory, so deepbots did not write it")
 
 
 def write_record(folder: Path, record: RunRecord) -> None:
@@ -475,7 +476,7 @@ def run_lock(folder: Path) -> Iterator[None]:
 
     path = folder / ".lock"
     if path.is_symlink():
-        raise RunError(f"{path} is a symbolic link, which no run of ours holds")
+        raise RunError(f"{path} is a symbolic link; deepbots does not write symbolic links into a run")
     try:
         lock = FileLock(path, timeout=0).acquire()
     except Timeout:

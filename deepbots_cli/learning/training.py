@@ -109,9 +109,9 @@ def train(
     compiled = api.compile(scenario)
     training = _training_of(compiled.program, total_timesteps, callbacks)
     if not 0 <= seed < 2**63:
-        raise UsageError(f"{seed} cannot be a seed, which is a whole number from 0 to {2**63 - 1}")
+        raise UsageError(f"the seed must be a whole number from 0 to {2**63 - 1}, not {seed}")
     if not 0 <= keep_checkpoints <= 10_000:
-        raise UsageError(f"{keep_checkpoints} checkpoints cannot be kept; from 0 to 10000 are possible")
+        raise UsageError(f"keep_checkpoints must be from 0 to 10000, not {keep_checkpoints}")
     engine = engine_kinds.chosen(engine or compiled.program.engine)
     build = build or supervisor_factory(engine, permissions=compiled.permissions)
     Curriculum(compiled.program, stage)
@@ -210,7 +210,7 @@ def resume(
         if steps >= training.total_timesteps and record.status == "finished":  # else it was killed before it said so
             raise UsageError(
                 f"the training of {known.path} is complete ({steps:,} of {training.total_timesteps:,} timesteps);"
-                f" to continue it, give a total of more than {steps:,} timesteps (`--timesteps N`)"
+                f" to continue it, set a total of more than {steps:,} timesteps with `--timesteps N`"
             )
         was_solved = record.status == "finished" and record.result is not None and record.result.solved_at is not None
         changes: dict[str, Any] = {
@@ -230,12 +230,12 @@ def _training_of(program: Program, total_timesteps: int | None, callbacks: Seque
     if find_spec("tensorboard") is None:  # the log would only notice with the run half made
         raise MissingExtraError("train", "training")
     if program.agent.training is None:
-        raise UsageError(f"{program.name} has no 'train' section, so there is nothing to train with")
+        raise UsageError(f"{program.name} has no `train` section; add one that names the algorithm")
     training = program.agent.training if total_timesteps is None else replace(program.agent.training, total_timesteps=total_timesteps)
     if training.total_timesteps < 1:
-        raise UsageError(f"total_timesteps must be at least 1, and is {training.total_timesteps}")
+        raise UsageError(f"total_timesteps must be at least 1, not {training.total_timesteps}")
     if training.total_timesteps > MAX_STEPS:
-        raise UsageError(f"a training of {training.total_timesteps} steps would never end; write at most {MAX_STEPS}")
+        raise UsageError(f"total_timesteps must be at most {MAX_STEPS}, not {training.total_timesteps}")
     kind = learners.class_of(training)
     kind.check(training)
     if callbacks and not kind.takes_callbacks:

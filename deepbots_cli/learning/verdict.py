@@ -27,7 +27,7 @@ def solved_verdict(solved: Solved | None, episodes: int, mean_return: float, suc
             return False, f"not solved: a success rate of {solved.success_rate:.1%} is required, and {certain.reason}"
     if episodes < solved.episodes:
         evaluated = f"{episodes} {'was' if episodes == 1 else 'were'} evaluated"
-        return None, f"solved: unknown; the criterion needs {solved.episodes} episodes, and {evaluated}"
+        return None, f"solved: unknown, because the criterion needs {solved.episodes} episodes and only {evaluated}"
     reasons = []
     if solved.mean_return is not None:
         reasons.append(f"mean return {mean_return:.4g} where {solved.mean_return:g} is required")

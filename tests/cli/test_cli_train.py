@@ -52,7 +52,7 @@ def trained(first, tmp_path):
 
 def test_a_training_ends_with_a_verdict_and_what_to_do_next(trained, tmp_path):
     assert "mean return" in trained.out
-    assert "solved: unknown; the criterion needs" in trained.out
+    assert "solved: unknown, because the criterion needs" in trained.out
     assert "deepbots render mine -o mine.mp4" in trained.err
     assert "tensorboard --logdir mine" in trained.err
     assert json.loads((tmp_path / "mine" / "run.json").read_text())["status"] == "finished"
@@ -148,7 +148,7 @@ def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
 def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):
     ran = deepbots("eval", "mine", "--episodes", "2", "--require-solved", "--min-return", "1000")
     assert ran.code == 1
-    assert "not met: the task is solved (solved: unknown; the criterion needs" in ran.err
+    assert "not met: the task is solved (solved: unknown, because the criterion needs" in ran.err
     assert "not met: mean return of at least 1000" in ran.err
     ran = deepbots("eval", "mine", "--episodes", "40", "--min-return", "1", "--json")
     assert (ran.code, "met: mean return of at least 1 (" in ran.err) == (0, True)
@@ -247,7 +247,7 @@ def test_a_damaged_run_and_one_of_a_newer_version_are_told_in_one_sentence(deepb
     shutil.copytree("mine", "mine2")
     record = json.loads((tmp_path / "mine" / "run.json").read_text())
     for changed, said in (
-        (json.dumps(record | {"format": record["format"] + 1}), "from a newer deepbots"),
+        (json.dumps(record | {"format": record["format"] + 1}), "written by a newer version of deepbots"),
         (json.dumps(record | {"seed": "zero"}), "mine/run.json is damaged: 'seed': Input should be a valid integer"),
         ("", "mine/run.json is damaged: it is not valid JSON"),
     ):

@@ -125,8 +125,8 @@ def test_a_pickle_inside_a_model_is_never_run(run_copy: Path, tmp_path: Path, me
     [
         (torch.zeros(3, 64), "shape"),
         (torch.zeros(2, 64, dtype=torch.float64), "float64"),
-        (torch.full((2, 64), math.nan), "not finite"),
-        (torch.full((2, 64), math.inf), "not finite"),
+        (torch.full((2, 64), math.nan), "infinite or NaN"),
+        (torch.full((2, 64), math.inf), "infinite or NaN"),
         (torch.zeros(1).expand(2, 10**12), "shape"),
         ("text", "is not a tensor"),
     ],
@@ -144,7 +144,7 @@ def test_missing_and_strange_tensors_are_named(run_copy: Path) -> None:
     changed(path, "policy", lambda state: state.update(backdoor=torch.zeros(1)))
     refused(run_copy, "policy/backdoor")
     rewrite(path, whole | {"backdoor.pth": saved({"x": torch.zeros(1)})})
-    refused(run_copy, "holds 'backdoor'")
+    refused(run_copy, "contains 'backdoor'")
 
 
 def test_a_zip_bomb_is_refused_outside_and_inside(run_copy: Path, tmp_path: Path) -> None:
@@ -167,9 +167,9 @@ def test_a_model_that_is_encrypted_or_packed_otherwise_is_refused(run_copy: Path
         for found in re.finditer(re.escape(mark), bytes(content)):
             content[found.start() + place + further] = value
     path.write_bytes(content)
-    with pytest.raises(RunError, match="damaged, or no model of ours"):
+    with pytest.raises(RunError, match="damaged, or was not written by deepbots"):
         steps_of(path)
-    with pytest.raises(RunError, match="damaged, or no model of ours"):
+    with pytest.raises(RunError, match="damaged, or was not written by deepbots"):
         evaluate(run_copy, model="last", build=stand_in.build)
 
 
@@ -208,7 +208,7 @@ def test_a_checkpoint_of_another_network_is_refused(run_copy: Path) -> None:
     text = resolved.read_text()
     resolved.write_text(re.sub(r"hidden:\n(\s+- \d+\n)+", "hidden: [8]\n", text))
     assert resolved.read_text() != text
-    with pytest.raises(RunError, match=r"shape|lacks|holds"):
+    with pytest.raises(RunError, match=r"shape|lacks|contains"):
         resume(run_copy, total_timesteps=100_000, build=stand_in.build)
 
 
@@ -240,8 +240,8 @@ KINDS: dict[str, Callable[[torch.Tensor], torch.Tensor]] = {
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_tensor_of_a_kind_that_no_policy_has_is_refused(run_copy: Path, kind: str) -> None:
     changed(run_copy / BEST, "policy", lambda state: state.update({WEIGHT: KINDS[kind](state[WEIGHT])}))
-    refused(run_copy, "damaged, or no model of ours")
-    with pytest.raises(RunError, match="damaged, or no model of ours"):
+    refused(run_copy, "damaged, or was not written by deepbots")
+    with pytest.raises(RunError, match="damaged, or was not written by deepbots"):
         train(run_copy / "resolved.yaml", run=run_copy / "new", initialize_from=run_copy, build=stand_in.build)
 
 
@@ -252,7 +252,7 @@ def test_a_pickle_that_asks_for_memory_is_refused(run_copy: Path) -> None:
 
     path = run_copy / BEST
     rewrite(path, members(path) | {"policy.pth": saved({WEIGHT: Large()})})
-    refused(run_copy, "holds other things than plain tensors")
+    refused(run_copy, "contains objects other than plain tensors")
 
 
 def test_weights_that_lead_to_no_finite_action_are_one_sentence(run_copy: Path) -> None:
@@ -272,7 +272,7 @@ def test_a_model_with_steps_without_end_is_damaged(run_copy: Path, steps: str) -
     data = re.sub(rb'"num_timesteps": \d+', f'"num_timesteps": {steps}'.encode(), members(path)["data"])
     assert data != members(path)["data"]
     rewrite(path, members(path) | {"data": data})
-    with pytest.raises(RunError, match="damaged, or no model of ours"):
+    with pytest.raises(RunError, match="damaged, or was not written by deepbots"):
         steps_of(path)
 
 

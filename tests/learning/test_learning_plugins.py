@@ -78,9 +78,13 @@ def test_a_training_that_was_interrupted_calls_and_logs_as_one_that_was_not(tmp_
 
 
 def test_a_name_that_no_package_registers_is_told_with_the_nearest(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"^there is no callback 'explore_les'; known are .*failing.* \(did you mean explore_less\?\)$"):
+    with pytest.raises(
+        UsageError, match=r"^there is no callback 'explore_les'; the known ones are .*failing.* \(did you mean explore_less\?\)$"
+    ):
         short(tmp_path / "run", callbacks=["explore_les"])
-    with pytest.raises(UsageError, match=r"^there is no logger 'cvs'; known are csv, json_lines, full_disk \(did you mean csv\?\)$"):
+    with pytest.raises(
+        UsageError, match=r"^there is no logger 'cvs'; the known ones are csv, json_lines, full_disk \(did you mean csv\?\)$"
+    ):
         short(tmp_path / "run", loggers=["cvs"])
     with pytest.raises(UsageError, match="given twice"):
         short(tmp_path / "run", loggers=["csv", "csv"])

@@ -95,7 +95,7 @@ def test_the_link_or_object_whose_mass_is_changed_can_be_named(trained: Training
         assert base.root is not None
         found = dict(plans(base.root, api.compile(scenario).program, name))
         assert changed_scenario(base, dict(found[f"mass of {name}"])["x 2"]).digest != api.compile(scenario).digest
-    with pytest.raises(UsageError, match=r"nothing called 'cart.poel' has a mass; choose from: cart\.body, "):
+    with pytest.raises(UsageError, match=r"there is no link or object 'cart.poel' with a mass; choose from: cart\.body, "):
         evaluate_robustness(trained.run, mass_of="cart.poel", build=stand_in.build)
 
 
@@ -134,7 +134,7 @@ def test_the_mass_of_what_is_fixed_to_the_world_is_not_varied(tmp_path: Path) ->
     assert root is not None
     assert [name for name, _ in plans(root, program) if name.startswith("mass")] == ["mass of arm.rod"]
     for name in ("arm.post", "wall"):
-        with pytest.raises(UsageError, match=f"'{name}' is fixed to the world, so its mass changes no motion; choose from: arm.rod$"):
+        with pytest.raises(UsageError, match=f"'{name}' is fixed to the world, so its mass has no effect; choose from: arm.rod$"):
             list(plans(root, program, name))
 
 
@@ -146,16 +146,18 @@ def test_a_policy_is_measured_against_a_bar_at_every_level(trained: TrainingResu
     assert (found.metric, found.bar, found.bar_source) == ("mean_return", 1.0, "given")
     levels = [entry for condition in found.conditions for entry in condition.levels]
     assert told[-1] == (1 + len(levels), 1 + len(levels))
-    assert {condition.threshold.partition(";")[0] for condition in found.conditions} == {"holds at all levels"}
+    assert {condition.threshold.partition(";")[0] for condition in found.conditions} == {"meets the requirement at all levels"}
     starts = {tuple(episode.seed for episode in entry.evaluation.outcomes) for entry in levels}
     assert starts == {tuple(episode.seed for episode in found.nominal.outcomes)}
     brief: dict[str, Any] = {"episodes": 1, "overrides": ["truncation.max_steps=5"], "build": stand_in.build}
     strict = evaluate_robustness(trained.run, min_return=1e6, **brief)
     # A single episode has no interval.
-    assert {condition.threshold for condition in strict.conditions} == {"below the bar at all levels; not significant at all levels"}
+    assert {condition.threshold for condition in strict.conditions} == {
+        "misses the requirement at all levels; not significant at all levels"
+    }
     assert (found.nominal_holds, strict.nominal_holds) == (True, False)
     assert (found.nominal_certain, strict.nominal_certain) == (True, False)
-    assert "below, uncertain" in robustness_text(strict).splitlines()[4]  # the row without any change
-    assert "without any change; set another bar with --min-return" in robustness_text(strict)
-    assert "set another bar" not in robustness_text(found)
+    assert "missed, not significant" in robustness_text(strict).splitlines()[4]  # the row without any change
+    assert "even without any change; set another one with --min-return" in robustness_text(strict)
+    assert "set another one" not in robustness_text(found)
     assert _bar(Run.open(trained.run).program, found.nominal, None, None)[1] == 195.0

@@ -84,15 +84,15 @@ def test_a_run_of_another_deepbots_warns(run_copy: Path) -> None:
 def test_a_scenario_that_was_changed_after_the_training_warns(run_copy: Path) -> None:
     rewrite(run_copy, "15 deg", "12 deg")
     (note,) = evaluate(run_copy, episodes=1, build=stand_in.build).notes
-    assert "since it was changed after the training" in note
+    assert "because it was changed after the training" in note
     edit(run_copy, deepbots="9.9")
-    assert "to this deepbots" in Run.open(run_copy).notes()[1]
+    assert "with this version of deepbots" in Run.open(run_copy).notes()[1]
 
 
 def test_a_changed_file_of_a_run_warns(run_copy: Path) -> None:
     robot = run_copy / "inputs" / "robots" / "urdf" / "cartpole.urdf"
     robot.write_text(robot.read_text().replace('<mass value="', '<mass value="1', 1))
-    assert "since it was changed after the training" in Run.open(run_copy).notes()[0]
+    assert "because it was changed after the training" in Run.open(run_copy).notes()[0]
 
 
 def test_a_scenario_that_no_longer_fits_its_policy_is_refused_item_by_item(run_copy: Path) -> None:

@@ -329,7 +329,7 @@ def test_a_world_that_cannot_be_built_leaves_no_run_behind(tmp_path: Path) -> No
 
 def test_a_scenario_without_a_train_section_is_refused() -> None:
 
-    with pytest.raises(UsageError, match="no 'train' section"):
+    with pytest.raises(UsageError, match="no `train` section"):
         _training_of(stand_in.scenario().with_agents(training=None), None)
 
 
@@ -499,5 +499,5 @@ def test_a_replay_buffer_with_actions_that_do_not_exist_is_refused(tmp_path: Pat
     with zipfile.ZipFile(segment, "w") as archive:
         for name, data in content.items():
             archive.writestr(name, data)
-    with pytest.raises(RunError, match="holds actions that the scenario does not have"):
+    with pytest.raises(RunError, match="contains actions that the scenario does not have"):
         resume(done.run, total_timesteps=600, build=stand_in.build)

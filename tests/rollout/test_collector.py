@@ -133,7 +133,7 @@ def test_an_on_policy_learner_learns_from_any_collector_and_others_refuse_one() 
         assert made.recent()[1].shape[:2] == (32, 4)
         made.update()
         assert made.digest() != before
-        with pytest.raises(UsageError, match="DQN steps its worlds itself, so they must be in its process"):
+        with pytest.raises(UsageError, match="DQN needs its worlds in the training process"):
             learner.create(Setup(Training("DQN", 1000, environments=4), *spaces, collector=shards))
 
 

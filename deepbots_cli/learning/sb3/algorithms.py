@@ -220,7 +220,7 @@ def _entry(name: str) -> type[Model]:
     if name not in ALGORITHMS:
         near = nearest_word(name, ALGORITHMS)
         hint = f" (did you mean {near}?)" if near else ""
-        raise UsageError(f"algorithm '{name}' cannot be trained with; the choices are {', '.join(ALGORITHMS)}{hint}")
+        raise UsageError(f"there is no algorithm '{name}'; use one of {', '.join(ALGORITHMS)}{hint}")
     return ALGORITHMS[name]
 
 

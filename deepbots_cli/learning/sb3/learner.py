@@ -64,7 +64,7 @@ class StableLearner(Learner):
         self.confirms = isinstance(self.model, OffPolicyAlgorithm)
         self._by_fragments = algorithms.collects_as_usual(setup.training, self.model)
         if not (self._by_fragments or collector is None or isinstance(collector, LocalCollector)):
-            raise UsageError(f"{setup.training.algorithm} steps its worlds itself, so they must be in its process")
+            raise UsageError(f"{setup.training.algorithm} needs its worlds in the training process")
         self._followers: Sequence[BaseCallback] = ()
         if collector is None:
             self.model.policy.set_training_mode(False)

@@ -155,19 +155,19 @@ def _read(path: Path, limit: int) -> dict[str, Mapping[str, Any]]:
                 if name.endswith(".pth"):
                     content = archive.read(name)
                     if not content.startswith(b"PK\x03\x04"):  # torch would take it for a file of before 2020
-                        raise ValueError("it holds other things than plain tensors")
+                        raise ValueError("it contains objects other than plain tensors")
                     with _opened(io.BytesIO(content), len(content)) as inner:
                         _check_pickle(inner)
                     tensors[name.removesuffix(".pth")] = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
     except RunError:
         raise
     except pickle.UnpicklingError as error:
-        raise RunError(f"{path} is damaged, or no model of ours (it holds other things than tensors)") from error
+        raise RunError(f"{path} is damaged, or was not written by deepbots (it contains objects other than tensors)") from error
     except Exception as error:  # the readers of damaged files raise a dozen kinds
         reason = str(error).strip().splitlines()[0][:120] if str(error).strip() else "cut short"
-        raise RunError(f"{path} is damaged, or no model of ours ({reason})") from error
+        raise RunError(f"{path} is damaged, or was not written by deepbots ({reason})") from error
     if "policy" not in tensors or not all(isinstance(value, dict) for value in tensors.values()):
-        raise RunError(f"{path} is damaged, or no model of ours (it lacks 'policy')")
+        raise RunError(f"{path} is damaged, or was not written by deepbots (it lacks 'policy')")
     return tensors
 
 
@@ -178,7 +178,7 @@ def _opened(source: Path | io.BytesIO, size: int) -> zipfile.ZipFile:
     if len({item.filename for item in members}) < len(members):
         raise ValueError("two of its members have one name")
     if any(item.compress_type != zipfile.ZIP_STORED or item.compress_size != item.file_size for item in members):
-        raise ValueError("it is compressed, which no model of ours is")
+        raise ValueError("it is compressed, but models of deepbots are not")
     if sum(item.file_size for item in members) > size:
         raise ValueError("its members overlap")
     if isinstance(source, Path) and len(members) > _MAX_MEMBERS:
@@ -191,9 +191,9 @@ def _check_pickle(archive: zipfile.ZipFile) -> None:
     (name,) = (name for name in archive.namelist() if name.count("/") == 1 and name.endswith("/data.pkl"))
     for operation, argument, _ in pickletools.genops(archive.read(name)):
         if operation.name == "GLOBAL" and argument not in _PLAIN_GLOBALS:
-            raise ValueError(f"it holds other things than plain tensors: {str(argument)[:60]}")
+            raise ValueError(f"it contains objects other than plain tensors: {str(argument)[:60]}")
         if operation.name in ("STACK_GLOBAL", "INST", "EXT1", "EXT2", "EXT4"):
-            raise ValueError("it holds other things than plain tensors")
+            raise ValueError("it contains objects other than plain tensors")
 
 
 def _check_tensors(path: Path, where: str, ours: Mapping[str, torch.Tensor], theirs: Mapping[Any, Any]) -> None:
@@ -230,11 +230,11 @@ def _check_tensor(path: Path, name: str, dtype: torch.dtype, shape: tuple[int, .
         theirs = f"{str(found.dtype).removeprefix('torch.')} of shape {tuple(found.shape)}"
         raise RunError(f"{path}: '{name}' is {theirs}, the scenario's policy needs {str(dtype).removeprefix('torch.')} of shape {shape}")
     if not torch.isfinite(found).all():
-        raise RunError(f"{path}: '{name}' holds a number that is not finite")
+        raise RunError(f"{path}: '{name}' contains infinite or NaN values")
 
 
 def _refuse(path: Path, missing: str, strange: str) -> None:
-    what = f"lacks '{missing}'" if missing else f"holds '{strange[:80]}', which the scenario's policy has no place for"
+    what = f"lacks '{missing}'" if missing else f"contains '{strange[:80]}', which the policy of this scenario does not have"
     raise RunError(f"{path} {what}")
 
 

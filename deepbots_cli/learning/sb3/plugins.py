@@ -65,7 +65,7 @@ def check(callbacks: Sequence[str], loggers: Sequence[str]) -> None:
         for name in names:
             if name not in table:
                 near = nearest_word(name, table)
-                known = f"known are {', '.join(table)}" if table else f"no installed package registers one under '{table.group}'"
+                known = f"the known ones are {', '.join(table)}" if table else f"no installed package registers one under '{table.group}'"
                 raise UsageError(f"there is no {what} '{name}'; {known}" + (f" (did you mean {near}?)" if near else ""))
             if names.count(name) > 1:
                 raise UsageError(f"the {what} '{name}' is given twice")
