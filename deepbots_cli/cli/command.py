@@ -192,7 +192,8 @@ Start = Annotated[
     list[str] | None,
     option(
         "--start NAME=VALUE",
-        "Set a value that resets draw, by its name in `drawn` and in SI units, such as mark.x=0.5; may be repeated.",
+        "Set a value that each episode otherwise draws at random, in SI units, such as mark.x=0.5; may be repeated. `deepbots try SCENARIO"
+        " --json` lists the names under `drawn`.",
         SCENARIO,
     ),
 ]
@@ -200,10 +201,15 @@ Engine = Annotated[
     str | None,
     option(
         "--engine NAME",
-        "Physics engine: pybullet, mujoco, or one of an installed package; by default `world.engine` of the scenario, else pybullet.",
+        "Physics engine: pybullet, mujoco, or an engine that an installed package adds; by default `world.engine` of the scenario, else"
+        " pybullet.",
         SCENARIO,
         callback=known_engine,
     ),
+]
+EngineOrRun = Annotated[
+    str | None,
+    option("--engine NAME", "Physics engine; by default that of the run or scenario, else pybullet.", SCENARIO, callback=known_engine),
 ]
 
 

@@ -13,7 +13,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "try": ("episodes.command", "Run a few episodes without training, and show the reward."),
         "play": ("view.play", "Drive the robot of a scenario in the browser."),
         "scenarios": ("installation.scenarios", "List the scenarios that come with deepbots."),
-        "explain": ("explain.command", "Explain an error code, a word of the language, or a term."),
+        "explain": ("explain.command", "Explain a finding of lint, a key of scenario files, or a term."),
     },
     "Check": {
         "lint": ("lint.lint", "Check scenarios and report every problem."),
@@ -33,7 +33,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "view": ("view.view", "Watch a policy, a scenario or a recording in the browser."),
         "diagnose": ("diagnose.command", "Explain why a training does not learn, or why an episode ended."),
         "plot": ("plot.command", "Plot the learning curves of runs."),
-        "replay": ("replay.command", "Play a recording, or check that it runs the same again."),
+        "replay": ("replay.command", "List the episodes of a recording, or run them again and compare."),
     },
     "Share": {
         "render": ("render.command", "Make a picture, a video or GIF, an offline page or a recording."),

@@ -46,36 +46,37 @@ def command(
         integer("--pairs N", "Number of pairs of measurements, one with and one without the environment; 5 by default.", group=ADVANCED),
     ] = None,
     quick: Annotated[
-        bool, option("--quick", "Measure 3 pairs of 600 steps. With several engines or batch, measure each once instead of three times.")
+        bool, option("--quick", "Measure 3 pairs of 600 steps. With several engines or `batch`, measure each once instead of three times.")
     ] = False,
     seed: Seed = 0,
     engine: Annotated[
         str | None,
         option(
             "--engine NAME[,NAME]",
-            "Physics engine, by default that of the scenario, or several to compare; batch is many worlds in MuJoCo.",
+            "Physics engine; by default that of the scenario. Several, with commas between, are compared. `batch` steps many"
+            " worlds in MuJoCo.",
         ),
     ] = None,
-    worlds: Annotated[str | None, option("--worlds N,N", "With batch, how many worlds; 1,16,64,256 by default.", ADVANCED)] = None,
+    worlds: Annotated[str | None, option("--worlds N,N", "With `batch`, how many worlds; 1,16,64,256 by default.", ADVANCED)] = None,
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
     """Measure how fast steps are, and how much of it is physics.
 
-    The command runs the same episodes twice in the same engine: with full environment steps, and with the physics alone. Resets are not
-    timed. The ratio is the time of an environment step divided by the time of its physics. The difference is the cost of messages,
-    observation, reward and endings. If another engine steps this world at least 1.5 times as fast, a line names it.
+    The command runs the same episodes twice in the same engine: with full environment steps, and with the physics alone. The ratio is
+    the time of an environment step divided by the time of its physics. The difference is the cost of messages, observation, reward and
+    endings. Resets are not timed. If another engine steps this world at least 1.5 times as fast, a line names it.
 
-    By default, the measurement takes at most 20 s. With several engines, it takes at least one round, however long that is. With more
-    --steps and --pairs, it takes longer, and its ratio repeats more closely.
+    With several engines, or with `batch`, resets are timed too, actions are random, and a table says where the time goes.
+
+    By default, the measurement takes at most 20 s. With several engines, each is measured at least once, even if that takes more than
+    20 s. --steps and --pairs lift this limit: more of them take longer, and the ratio then differs less from one measurement to the next.
 
     \b
       deepbots bench cartpole
       deepbots bench quadruped --quick
       deepbots bench cartpole --set messages.format=csv --pairs 15
       deepbots bench cartpole --engine pybullet,mujoco,batch --worlds 16,256
-
-    With several engines, or with batch, resets are timed too, actions are random, and a table says where the time goes.
     """
     names = [] if engine is None else engine.split(",")
     for name in names:
@@ -102,7 +103,7 @@ def command(
         pairs = pairs or (3 if quick else 5)
         share_of_cpu = (time.process_time() - cpu_began) / (time.perf_counter() - began)
         steps = steps or (600 if quick else _affordable_steps(speeds[used] * share_of_cpu, pairs))
-        longer = "; --pairs 9 --steps 2000 takes longer, and repeats more closely" if open_ended else ""
+        longer = "; --pairs 9 --steps 2000 takes longer, and differs less between measurements" if open_ended else ""
         terminal.note(f"measuring {pairs} pairs of {steps:,} steps{longer}")
         end = began + LIMIT_S if open_ended else math.inf
         with terminal.progress("measurements") as show:

@@ -82,7 +82,8 @@ def command(
     Commas separate actions, and colons separate the numbers of one action: --driver 0.5:0.5,0.5:-0.5
 
     For the same seed, episode K of `try` starts differently than in `test`, `eval`, `view` and `render`, which use held-out starts.
-    `deepbots view SCENARIO --driver NAME --seed N --episode K` shows held-out episode K.
+    So `view` does not show the episode that you tried. `deepbots view SCENARIO --driver NAME --seed N --episode K` shows held-out episode
+    K.
 
     If an episode raises an error, training and evaluation save this episode in the run directory. To repeat it, give its file:
 

@@ -78,7 +78,11 @@ def command(
     ] = False,
     details: Annotated[
         bool,
-        option("--details", "Also show the result for each part of the range of every random value, and in each stage of the curriculum."),
+        option(
+            "--details",
+            "Also show the result in each stage of the curriculum, and by the values drawn at random: each range is divided into parts,"
+            " with a result for each part.",
+        ),
     ] = False,
     as_json: Annotated[bool, option("--json", "Print the result as JSON.")] = False,
     scenario: Annotated[
@@ -125,19 +129,21 @@ def command(
     --require-solved, --min-success and --min-return check the result in the scenario itself. With --case or --stage, they check the result
     in that case or stage. For a group, every seed is evaluated on the same starts, and the requirements apply to the means over the seeds.
 
-    With --min-success or --min-return, the evaluation of a run stops as soon as it is decided whether the requirement is met: the
-    remaining episodes cannot change this, or a 95 % confidence sequence excludes the required value. The evaluation of a group stops
-    early only for --min-success, and only if the remaining episodes of all seeds cannot change this.
+    With --min-success or --min-return, the evaluation of a run stops early once the answer is clear. That is the case when the remaining
+    episodes can no longer change the answer, or when the required value lies outside a 95 % confidence sequence of the result. The
+    evaluation of a group stops early only for --min-success, and only if the remaining episodes of all seeds cannot change the answer.
+    With --require-solved, or with several engines, all episodes run.
 
     --set overrides values of the scenario of the run, or of the scenario that --scenario names. This scenario must have the
     observation, action and messages of the training; its world may differ. --engine runs the episodes in another engine. With several
-    engines, such as --engine mujoco,pybullet, every engine runs episodes from the same starts. The table shows the difference of each
-    further engine from the first, with its 95 % interval over pairs of episodes, or over the seeds of a group. The requirements then
-    apply to every engine.
+    engines, such as --engine mujoco,pybullet, every engine runs episodes from the same starts. A second table shows how much the
+    result in each other engine differs from that in the first, with a 95 % interval. The interval compares the episodes with the same
+    start, or for a group, the seeds. The requirements then apply to every engine.
 
-    --episodes failed runs the failed episodes of the last kept evaluation again, and counts their endings. For the first 10, it prints the
-    ending and its margin. If an ending compares a value with a
-    limit, the margin is how far the value is past the limit. After a time limit, it prints how near the episode came to a success.
+    With `--episodes failed`, the command repeats the failed episodes of the last evaluation of the run, and counts how they end. This is
+    the last evaluation without --set, --scenario, --case, --stage or another engine. For the first 10 episodes, the command prints the
+    ending and its margin. If an ending compares a value with a limit, the margin is how far the value is past the limit. After a time
+    limit, it prints how near the episode came to a success.
 
     \b
       deepbots eval runs/cartpole-0-1

@@ -46,14 +46,15 @@ def command(
     finding: Annotated[
         str,
         typer.Argument(
-            metavar="WORD", help="Code or name of a finding, prefix of codes, word of the language, or term; by default all findings."
+            metavar="WORD",
+            help="Code or name of a finding, prefix of codes, word of the scenario language, or term; by default all findings.",
         ),
     ] = "",
     as_json: Json = False,
 ) -> None:
-    """Explain an error code, a word of the language, or a term.
+    """Explain a finding of lint, a key of scenario files, or a term.
 
-    Words of the language are keys, functions, units, and kinds of sensors, actuators, objects and algorithms. The
+    Words of the scenario language are keys, functions, units, and kinds of sensors, actuators, objects and algorithms. The
     glossary has terms of reinforcement learning, such as HER, domain randomization or time limit. Without a word, the command lists all
     findings.
 

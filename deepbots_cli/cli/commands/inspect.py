@@ -12,7 +12,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import inspection, terminal
-from deepbots_cli.cli.command import Case, Engine, Overrides, Stage, option
+from deepbots_cli.cli.command import Case, EngineOrRun, Overrides, Stage, option
 from deepbots_cli.cli.sources import is_robot, open_robot, open_source
 from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.diagnostics import Source, Span
@@ -49,7 +49,7 @@ def command(
     overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
-    engine: Engine = None,
+    engine: EngineOrRun = None,
     full: Annotated[bool, option("--full", "Show all tables, also joints, sensors, timing, resets and hyperparameters.")] = False,
     as_json: Annotated[bool, option("--json", "Print all tables as JSON.")] = False,
     permissions: Permissions = Permissions(),

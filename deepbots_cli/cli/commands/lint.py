@@ -73,7 +73,8 @@ def lint(
         Codes,
         option(
             "--ignore CODES",
-            "Do not report these findings. If --select also matches a finding, the longer of the two prefixes decides.",
+            "Do not report these findings. If --select also matches a finding, the longer word decides: `--select DB603 --ignore DB6`"
+            " reports DB603. If both are equally long, it is ignored. A name counts as its code.",
             _RULES,
         ),
     ] = None,
@@ -87,7 +88,7 @@ def lint(
     ] = None,
     watch: Annotated[bool, option("--watch", "Lint again when a file is saved, until Ctrl-C.")] = False,
     statistics: Annotated[bool, option("--statistics", "Show the number of findings of each code.", OUTPUT)] = False,
-    deep: Annotated[bool, option("--deep", "Also simulate each scenario that has no errors for a short time.")] = False,
+    deep: Annotated[bool, option("--deep", "Also simulate, for a short time, each scenario that has no errors.")] = False,
     fix: Annotated[bool, option("--fix", "Apply the safe fixes to the files.")] = False,
     unsafe_fixes: Annotated[
         bool, option("--unsafe-fixes", "Also apply the unsafe fixes, which are guesses; with --fix or --diff.", ADVANCED)

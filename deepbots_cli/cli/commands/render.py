@@ -19,6 +19,7 @@ from deepbots_cli.cli.command import (
     MAX_SEED,
     Case,
     Driver,
+    EngineOrRun,
     Force,
     Json,
     Overrides,
@@ -29,7 +30,7 @@ from deepbots_cli.cli.command import (
     start_values,
 )
 from deepbots_cli.cli.commands.diagnose import FAILED_EPISODES, episodes_or_failed, last_evaluation
-from deepbots_cli.cli.commands.view import EngineOrRun, Shown
+from deepbots_cli.cli.commands.view import Shown
 from deepbots_cli.cli.sources import is_robot, open_robot
 from deepbots_cli.cli.tables import Row
 from deepbots_cli.document import Permissions
@@ -108,15 +109,17 @@ def command(
         Any,
         option(
             "--episodes N|failed",
-            "N episodes from --episode on, or those of the last evaluation of a run that failed: all in one .mcap, or a video each,"
-            " FILE-K.mp4 for episode K, of at most 10 failed ones.",
+            "Make N episodes, from --episode on; `failed`: the failed episodes of the last evaluation of a run. A .mcap holds all of them."
+            " Videos and pages are one file each, FILE-K.mp4 for episode K; of failed episodes, only the first 10.",
             EPISODES,
             parser=partial(episodes_or_failed, maximum=MAX_EPISODES),
         ),
     ] = None,
     steps: Annotated[
         int | None,
-        integer("--steps N", "Steps: with .png, before the picture is taken; with .mcap, the most of an episode.", 1, None, EPISODES),
+        integer(
+            "--steps N", "With .png, take the picture after N steps. With .mcap, record at most N steps of each episode.", 1, None, EPISODES
+        ),
     ] = None,
     labels: Annotated[bool, option("--labels", "Name the links and joints of the first robot.", _PICTURE_ONLY)] = False,
     rays: Annotated[bool, option("--rays", "Draw the rays of sensors.", _PICTURE_ONLY)] = False,
@@ -167,7 +170,8 @@ def command(
       deepbots render package://pybullet_data/husky/husky.urdf -o husky.png
 
     --path draws the end of an episode, and the paths of the robots and of the objects that the task moves. For a robot with a fixed
-    base, it draws the path of the link that the task is about. The camera is above, or at the side of a path that climbs.
+    base, it draws the path of the link that the task is about. The camera looks from above; if
+    a path climbs, it looks from the side.
 
     A recording holds for every step the poses, sensor readings, messages, actions, observations and reward terms, and the scenario.
     `render` takes a recording in place of a scenario.

@@ -28,7 +28,10 @@ def command(
     recording: Annotated[str, typer.Argument(metavar="RECORDING", help="A recording (.mcap) of `deepbots render`.")],
     to_verify: Annotated[bool, option("--verify", "Run the episodes again, and compare every step bit for bit.")] = False,
     tolerance: Annotated[
-        float, option("--tolerance X", "With --verify, allow differences up to X (relative for numbers above 1).", min=0.0, max=1.0)
+        float,
+        option(
+            "--tolerance X", "With --verify, a number may differ by X, and a number larger than 1 by X times its value.", min=0.0, max=1.0
+        ),
     ] = 0.0,
     scenario: Annotated[
         str | None, option("--scenario SCENARIO", "With --verify, run the episodes in this scenario instead.", SCENARIO)
@@ -37,16 +40,17 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Play a recording, or check that it runs the same again.
+    """List the episodes of a recording, or run them again and compare.
+
+    Without --verify, the command prints the scenario, seed, driver and engine of the recording, and a table of its episodes.
 
     --verify compiles the scenario in the recording, and runs each episode again from its seed with its recorded actions. The command
     names the first step and the first quantity that differ, with exit code 1. On the machine of the recording, with the same
-    versions, nothing differs. On another machine or with other versions, use --tolerance X: numbers may then differ by X, or by the
-    fraction X if they are above 1. Hashes, images and contact forces are not compared if there is a
-    tolerance.
+    versions, nothing differs. On another machine or with other versions, use --tolerance X: a number may then differ by X, and a
+    number larger than 1 by X times its value. Hashes, images, contact forces and the points of scans are then not compared.
 
-    --scenario runs the episodes in another scenario with the same observation, action and messages, such as a later state of the same file,
-    and names the settings that differ. --set overrides its values.
+    --verify --scenario SCENARIO runs the episodes in another scenario, such as your file after an edit, and lists the settings that
+    differ. Its observation, action and messages must be the same. --set overrides values of this scenario.
 
     \b
       deepbots replay find_ball-0-0.mcap

@@ -26,12 +26,13 @@ def command(
 ) -> None:
     """Write a report about a run: one HTML file to send.
 
-    The file holds the result with its interval, learning curves, reward terms, endings, the return over each random value, trajectories,
-    and clips of the best, the median and the worst episode. It also holds the scenario, the findings of lint and the versions. It loads
-    nothing from elsewhere, needs no scripts, and can be sent and archived as it is. It follows the light or dark setting of the browser.
+    The file holds the result with its interval, learning curves, reward terms, endings, plots of the return against each value that
+    is drawn at random at the start of an episode, trajectories, and clips of the best, the median and the worst episode. It also holds
+    the scenario, the findings of lint and the versions. It loads nothing from elsewhere, needs no scripts, and can be sent and archived
+    as it is. It follows the light or dark setting of the browser.
 
-    Results are those of the evaluation of the best model with the most episodes; `deepbots eval RUN --episodes N` makes a new one. Clips
-    need an engine that can draw; --no-clips leaves them out.
+    The results come from an evaluation of the best model; if there are several, from the one with the most episodes. `deepbots eval RUN
+    --episodes N` adds an evaluation. Clips need an engine that can draw; --no-clips leaves them out.
 
     \b
       deepbots report runs/cartpole-0-1

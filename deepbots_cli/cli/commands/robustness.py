@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from deepbots_cli.cli import records, terminal
-from deepbots_cli.cli.command import ADVANCED, MAX_SEED, SCENARIO, Engine, Json, Overrides, fraction, integer, option
+from deepbots_cli.cli.command import ADVANCED, MAX_SEED, SCENARIO, Json, Overrides, fraction, integer, known_engine, option
 from deepbots_cli.cli.commands.eval import Gates
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
@@ -20,7 +20,8 @@ from deepbots_cli.rollout.source import Source, SourceKind
 def command(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory of `deepbots train`, or a model in it.")],
     episodes: Annotated[
-        int | None, integer("--episodes N", "Episodes of each evaluation, by default `evaluation.episodes` of the scenario.")
+        int | None,
+        integer("--episodes N", "Episodes of each evaluation; by default `evaluation.episodes` of the scenario, but at most 50."),
     ] = None,
     min_success: Annotated[
         float | None, option("--min-success RATE", "Success rate that the policy must reach, such as 0.8 or 80%.", parser=fraction)
@@ -36,7 +37,9 @@ def command(
     overrides: Overrides = None,
     case: Annotated[str | None, option("--case NAME", "Evaluate in this case of `evaluation.cases`.", SCENARIO)] = None,
     stage: Annotated[str | None, option("--stage NAME", "Evaluate in this stage of the curriculum.", SCENARIO)] = None,
-    engine: Engine = None,
+    engine: Annotated[
+        str | None, option("--engine NAME", "Physics engine; by default that of the training.", SCENARIO, callback=known_engine)
+    ] = None,
     seed: Annotated[
         int | None, integer("--seed N", "Root seed of the starts; by default the seed of the training.", 0, MAX_SEED, ADVANCED)
     ] = None,
@@ -52,8 +55,8 @@ def command(
     motors. All evaluations begin with the same held-out starts. The table shows the level of each condition at which the result falls
     below the required one.
 
-    --min-success or --min-return gives the required result. By default it is `solved` of the scenario, or 80 % of the result without a
-    change if the scenario has no `solved`.
+    --min-success or --min-return gives the required result. By default it is `solved` of the scenario. If the scenario has no
+    `solved`, it is 80 % of the result under unchanged conditions.
 
     \b
       deepbots robustness runs/cartpole-0-1

@@ -69,7 +69,11 @@ def command(
     ] = None,
     loggers: Annotated[
         list[str] | None,
-        option("--logger NAME", "Write the scalars with this logger too: csv, or one of an installed package; may be repeated.", ADVANCED),
+        option(
+            "--logger NAME",
+            "Write the scalars with this logger too: csv, or one that an installed package adds; may be repeated.",
+            ADVANCED,
+        ),
     ] = None,
     engine: Engine = None,
     to_view: Annotated[
@@ -97,8 +101,9 @@ def command(
       deepbots train longer_pole.yaml --initialize-from runs/cartpole-0-1
 
     Timesteps are counted over all parallel environments. A resumed training gives the same weights and logs, bit for bit, as a training
-    without interruption. With --resume, --timesteps is the new total, which includes the timesteps so far. --initialize-from copies the
-    tensors of the policy that have the same name and shape, and initializes the others as usual.
+    without interruption. With --resume, --timesteps is the new total, which includes the timesteps so far. --initialize-from RUN copies
+    weights of the best policy of RUN into the new policy: each tensor (array of weights) that has the same name and shape in both. All
+    others begin as usual.
 
     `--logger csv` appends every scalar of TensorBoard to logs/scalars.csv of the run. A resumed run keeps its callbacks and loggers;
     --callback and --logger replace them, and `--callback none` continues without them.

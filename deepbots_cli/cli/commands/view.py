@@ -13,14 +13,13 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import (
     ADVANCED,
     EPISODES,
-    SCENARIO,
     Case,
+    EngineOrRun,
     Overrides,
     Seed,
     Stage,
     Start,
     integer,
-    known_engine,
     option,
     start_values,
 )
@@ -39,15 +38,12 @@ Shown = Annotated[
 ScenarioOrRun = Annotated[
     str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario file, the name of a shipped scenario, or a run directory.")
 ]
-EngineOrRun = Annotated[
-    str | None,
-    option("--engine NAME", "Physics engine; by default that of the run or scenario, else pybullet.", SCENARIO, callback=known_engine),
-]
 Host = Annotated[
     str,
     option(
         "--host ADDRESS",
-        "Address to serve on. If other machines can reach it (0.0.0.0), the printed address of the page contains a token.",
+        "Address to serve on. With an address that other machines can reach, such as 0.0.0.0, the page opens only with the token in the"
+        " printed address.",
         ADVANCED,
     ),
 ]
@@ -69,7 +65,9 @@ def view(
     episode: Episode = 0,
     start: Start = None,
     watch: Annotated[bool, option("--watch", "Restart with the new files when a file is saved.")] = False,
-    compare: Annotated[str | None, option("--compare OTHER", "Show another run or scenario beside it, from the same seeds.")] = None,
+    compare: Annotated[
+        str | None, option("--compare OTHER", "Show another run or scenario beside the first one, with the same seeds.")
+    ] = None,
     worlds: Annotated[
         int | None, integer("--worlds N", "Step a batch of N worlds in MuJoCo, and show one of them.", 1, 4096, group=ADVANCED)
     ] = None,
