@@ -194,10 +194,12 @@ def read_card(folder: Path) -> Card:
         RunError: The folder is no bundle, its card is damaged or of another format, or a graph has changed.
     """
     if not (folder / CARD_NAME).is_file() or (folder / CARD_NAME).is_symlink():
-        raise RunError(f"{folder} is not a bundle of `deepbots export`: it holds no {CARD_NAME}")
+        raise RunError(f"{folder} is not a bundle of `deepbots export`: it contains no {CARD_NAME}")
     found = read_json(folder / CARD_NAME, RecordFormat, _MAX_CARD_BYTES).format
     if found != FORMAT:
-        raise RunError(f"{folder} is a bundle of format {found}, this deepbots reads {FORMAT}; use the deepbots that wrote it")
+        raise RunError(
+            f"{folder} is a bundle of format {found}, but this version of deepbots reads {FORMAT}; use the version that wrote it"
+        )
     card = read_json(folder / CARD_NAME, Card, _MAX_CARD_BYTES)
     for name in GRAPH_FILES:
         path = folder / name

@@ -72,7 +72,7 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
     path = training.run.path
     if not len(training.all_episodes) and not training.has_failed:
         wait = "wait for it" if training.is_running else f"train it longer, with: deepbots train --resume {quote(str(path))}"
-        raise RunError(f"{path} holds no finished episode yet; {wait}")
+        raise RunError(f"{path} contains no finished episode yet; {wait}")
     learned = has_learned(training)
     if not (len(training.episodes) or training.has_failed):
         return []

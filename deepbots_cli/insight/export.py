@@ -99,7 +99,7 @@ class _Graph:
             case _ if type(module) in _ACTIVATIONS:
                 operator, slope = _ACTIVATIONS[type(module)]
                 return str(self.add(operator, value, **({"alpha": getattr(module, slope)} if slope else {})))
-        raise UsageError(f"the policy holds a layer {type(module).__name__}, which cannot be exported")
+        raise UsageError(f"the policy contains a layer {type(module).__name__}, which cannot be exported")
 
 
 def networks(learner: Learner, program: Program) -> dict[str, bytes]:

@@ -74,7 +74,9 @@ class ReportRun:
         run = Run.open(path)
         found = quoted_episodes(run)
         if found is None:
-            raise RunError(f"{path} holds no evaluation of its best model since its training ended; next: deepbots eval {quote(str(path))}")
+            raise RunError(
+                f"{path} contains no evaluation of its best model after the training; create one with: deepbots eval {quote(str(path))}"
+            )
         (log,) = plots.read_logs([path])
         return ReportRun(run, log, found[1])
 
@@ -136,7 +138,7 @@ class Report:
         """
         source = Source.open(path, Permissions(), SourceKind.RUN, SourceKind.GROUP)
         if source.kind is SourceKind.RUN:
-            return Report(path, [ReportRun.read(path)], ["the training goes on"] if is_training(path) else [])
+            return Report(path, [ReportRun.read(path)], ["the training is still running"] if is_training(path) else [])
         group, members, notes = Group.open(path), list[ReportRun](), list[str]()
         for seed in group.record.seeds:
             try:
@@ -144,7 +146,7 @@ class Report:
             except DeepbotsError as error:
                 notes.append(f"seed {seed} is left out: {' '.join(str(error).split())}")
         if not members:
-            raise RunError(f"{path} holds no run that can be reported; {notes[0]}")
+            raise RunError(f"{path} contains no run that can be reported; {notes[0]}")
         return Report(path, members, notes)
 
     @property
@@ -206,8 +208,9 @@ class Report:
                     again = fmean(agent.episode_return for agent in player.frame.agents.values())
                     if abs(again - each.outcome.total_return) > 1e-6 * max(1.0, abs(again)):
                         self.notes.append(
-                            f"episode {each.number} of seed {member.run.record.seed} has the return {again:.4g} when it is run again, and "
-                            f"{each.outcome.total_return:.4g} in the evaluation: versions or machine differ; path and clip are those of now"
+                            f"episode {each.number} of seed {member.run.record.seed} has the return {again:.4g} when it is run again, but "
+                            f"{each.outcome.total_return:.4g} in the evaluation: the versions or the machine differ; "
+                            "the path and the clip show the new episode"
                         )
                     if clips and each.label:
                         self._film(player, each)

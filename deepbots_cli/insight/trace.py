@@ -167,9 +167,9 @@ def trace_episodes(
     from deepbots_cli.rollout.policies import PolicyDriver
 
     if not run.model(model).is_file() and run.record.status == "failed":
-        raise RunError(f"the training of {run.path} failed before it kept a model; its causes: deepbots diagnose {run.path}")
+        raise RunError(f"the training of {run.path} failed before it saved a model; find the cause with: deepbots diagnose {run.path}")
     if not run.model(model).is_file():
-        raise RunError(f"{run.path} holds no model '{model}'; train it first, with: deepbots train --resume {run.path}")
+        raise RunError(f"{run.path} contains no model '{model}'; train it first, with: deepbots train --resume {run.path}")
     watch = instrument_program(run.program)
     with torch_settings(), closing(_world(watch, run.engine_for(run.program), permissions)) as world:
         policy = evaluation.load_model(run, model, world)

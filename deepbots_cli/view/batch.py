@@ -52,7 +52,7 @@ class BatchPlayer(Player):
             each = [self._make_driver(single, name) for single in self.batch.singles]
             self.driver = Driver(lambda _: self.batch.by_row(joined([driver.act(None) for driver in each])))
         else:
-            raise UsageError(f"'{name}' cannot act in a batch of worlds; use {', '.join(self.opened.drivers)}, or leave out --worlds")
+            raise UsageError(f"'{name}' cannot drive a batch of worlds; use {', '.join(self.opened.drivers)}, or leave out --worlds")
         self.driver_name = name
 
     def choose(self, world: int) -> WorldFrame:

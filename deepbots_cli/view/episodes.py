@@ -80,7 +80,7 @@ class Showing:
 
         if self.overrides or self.case or self.stage or self.engine or self.worlds or self.start:
             raise UsageError(
-                "a recording keeps its scenario, case, stage, engine and start; "
+                "a recording already contains its scenario, case, stage, engine and start; "
                 "leave out --set, --case, --stage, --engine, --worlds and --start"
             )
         recording = Recording.read(path)
@@ -140,7 +140,7 @@ class ShowingState:
         if self.recording is None:
             return Player(self, driver)
         if driver not in (None, RECORDED):
-            raise UsageError(f"a recording keeps its actions; leave out --driver {driver}")
+            raise UsageError(f"a recording already contains its actions; leave out --driver {driver}")
         from deepbots_cli.view.replay import ReplayPlayer
 
         return ReplayPlayer(self)
@@ -191,7 +191,7 @@ class RunDriver(Driver):
             self._space = batch_space(self._batch.action_space, self._batch.count) if self._batch else self._env.action_space
             self.note = "the training has saved no policy yet: random actions"
         else:
-            raise RunError(f"{self._run.path} holds no model yet; train it, or show its scenario")
+            raise RunError(f"{self._run.path} has no model yet; continue its training, or show its scenario")
 
     def _stage(self) -> str:
         """The stage of the curriculum that the training is in, as its newest episodes say."""

@@ -107,7 +107,7 @@ def _read_run(path: Path, window: int) -> TrainingLog:
     log = TrainingLog(path, f"{record.scenario} {record.digest}", settings=short_settings(changed_settings(record.command)))
     episodes, evaluations = logs_of(path)
     if not len(episodes):
-        raise RunError(f"{path} holds no finished episode yet; plot it later")
+        raise RunError(f"{path} contains no finished episode yet; plot it later")
     log.stages = stage_starts(record, episodes)
     log.returns = _averaged(episodes, episodes.returns, window, log.stages)
     endings = episodes.endings.astype(str)
@@ -252,7 +252,7 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
     for log in logs:
         groups.setdefault(log.group, []).append(log)
     if len(groups) > len(COLORS):
-        raise UsageError(f"{len(groups)} scenarios are too many for one plot; at most {len(COLORS)} can be told apart")
+        raise UsageError(f"a plot can show at most {len(COLORS)} scenarios, not {len(groups)}")
     detailed = [members for members in groups.values() if any(log.terms or log.endings for log in members)]
     figure = Figure(figsize=(10.0, 3.4 + 2.7 * len(detailed)), layout="constrained", facecolor=THEMES[theme][0])
     axes = figure.subplots(1 + len(detailed), 2, squeeze=False)

@@ -356,11 +356,11 @@ class Recording:
             raise RecordingError(f"{path} is an MCAP file that deepbots did not record; open it in Foxglove")
         if metadata.get("format") != str(FORMAT):
             raise RecordingError(
-                f"{path} is a recording of format {metadata.get('format', '?')[:20]}, this deepbots reads {FORMAT}; "
-                "use the deepbots that recorded it"
+                f"{path} is a recording of format {metadata.get('format', '?')[:20]}, but this version of deepbots reads {FORMAT}; "
+                "use the version that recorded it"
             )
         if "resolved.yaml" not in files or not steps:
-            raise RecordingError(f"{path} is damaged: it holds no {'episode' if files else 'scenario'}")
+            raise RecordingError(f"{path} is damaged: it contains no {'episode' if files else 'scenario'}")
         folder = TemporaryDirectory(prefix="deepbots-recording-")
         for name, content in files.items():
             target = Path(folder.name, name)
@@ -368,7 +368,7 @@ class Recording:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 target.write_bytes(content)
             except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
-                raise RecordingError(f"{path} is damaged: it holds a file and a folder of one name") from error
+                raise RecordingError(f"{path} is damaged: it contains a file and a folder of the same name") from error
         return Recording(path, metadata, list(_episodes(path, steps)), folder)
 
     def episode(self, number: int) -> RecordedEpisode:
@@ -381,7 +381,7 @@ class Recording:
         if found is None:
             numbers = [episode.number for episode in self.episodes]
             listed = str(numbers[0]) if len(numbers) == 1 else f"{min(numbers)} to {max(numbers)}"
-            raise UsageError(f"{self.path} holds no episode {number}; it holds {listed}")
+            raise UsageError(f"{self.path} contains no episode {number}; it contains {listed}")
         return found
 
 
@@ -411,13 +411,15 @@ def _content(path: Path, data: bytes) -> tuple[Mapping[str, str] | None, dict[st
                 unpacked = get_frame_parameters(found.data).content_size if found.compression == "zstd" else len(found.data)
                 size += unpacked
                 if found.compression not in ("zstd", "") or unpacked != found.uncompressed_size or max(size, 8 * unpacked) > _MAX_CONTENT:
-                    raise RecordingError(f"{path} unpacks to more than {_MAX_CONTENT >> 20} MiB, or in an unknown way")
+                    raise RecordingError(
+                        f"{path} is damaged, larger than {_MAX_CONTENT >> 20} MiB when decompressed, or uses an unknown compression"
+                    )
                 inner = breakup_chunk(found, validate_crc=True)
                 size += _RECORD_OVERHEAD_BYTES * len(inner)
                 topics |= {each.id: each.topic for each in inner if isinstance(each, records.Channel)}
                 messages += [each for each in inner if isinstance(each, records.Message)]
             if size > _MAX_CONTENT or len(files) > _MAX_INPUTS:
-                raise RecordingError(f"{path} holds more than {_MAX_CONTENT >> 20} MiB, or more than {_MAX_INPUTS} files")
+                raise RecordingError(f"{path} contains more than {_MAX_CONTENT >> 20} MiB, or more than {_MAX_INPUTS} files")
         steps = [{topics[each.channel_id]: each.data for each in step} for _, step in groupby(messages, lambda each: each.log_time)]
     except (McapError, ZstdError, struct.error, ValueError, KeyError, IndexError, MemoryError) as error:
         raise RecordingError(f"{path} is cut short or damaged; record the episode again") from error

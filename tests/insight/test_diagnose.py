@@ -495,7 +495,7 @@ def test_what_cannot_be_diagnosed_is_told_in_a_sentence(short, tmp_path, capsys)
     log = run / "monitor.csv"
     log.write_text("".join(log.read_text().splitlines(keepends=True)[:2]))
     assert main(["diagnose", str(run)]) == 2
-    assert "holds no finished episode yet" in capsys.readouterr().err
+    assert "contains no finished episode yet" in capsys.readouterr().err
     log.write_text(log.read_text() + "a,b,c,d,e,f,g,h,i,j\n")
     assert main(["diagnose", str(run)]) == 2
     assert "is damaged" in capsys.readouterr().err
@@ -509,7 +509,7 @@ def test_what_cannot_be_diagnosed_is_told_in_a_sentence(short, tmp_path, capsys)
     evaluation.unlink()
     shutil.rmtree(run / "models")
     assert main(["diagnose", str(run), "--episode", "0"]) == 2
-    assert "holds no model" in capsys.readouterr().err
+    assert "contains no model" in capsys.readouterr().err
     assert main(["diagnose", str(tmp_path)]) == 2
     assert "is not a run" in capsys.readouterr().err
 

@@ -165,7 +165,7 @@ def test_what_is_no_episode_is_told_in_a_sentence(recording, tmp_path, capsys):
         assert main(["diagnose", shown]) in (1, 2)
         assert words in capsys.readouterr().err
     assert main(["diagnose", str(recording), "--episode", "9"]) == 2
-    assert "holds no episode 9; it holds 0 to 1" in capsys.readouterr().err
+    assert "contains no episode 9; it contains 0 to 1" in capsys.readouterr().err
 
 
 def test_json_holds_the_same_statements(recording, capsys):

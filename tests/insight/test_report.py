@@ -157,9 +157,9 @@ def test_what_cannot_be_reported_is_told_in_a_sentence(run, tmp_path, capsys, gr
     (tmp_path / "empty").mkdir()
     shutil.rmtree(group / "seed-0")
     for folder, told in (
-        (copy, f"holds no evaluation of its best model since its training ended; next: deepbots eval {copy}"),
+        (copy, f"contains no evaluation of its best model after the training; create one with: deepbots eval {copy}"),
         (tmp_path / "empty", "is not a run"),
-        (group, "holds no run that can be reported; seed 0 is left out"),
+        (group, "contains no run that can be reported; seed 0 is left out"),
     ):
         assert main(["report", str(folder), "-o", str(tmp_path / "x.html")]) == 2
         err = capsys.readouterr().err

@@ -45,7 +45,7 @@ def test_a_training_is_followed_to_its_newest_policy(tmp_path):
     shutil.copyfile(run.model("last"), kept)
     for name in ("best", "last"):
         run.model(name).unlink(missing_ok=True)
-    with pytest.raises(RunError, match="holds no model yet"):
+    with pytest.raises(RunError, match="has no model yet"):
         Showing(str(run.path)).open().player()
     run.update(status="running")
     with closing(Showing(str(run.path)).open().player()) as player:

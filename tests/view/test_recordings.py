@@ -303,7 +303,7 @@ def test_a_bomb_is_not_unpacked(find_ball, tmp_path):
     stream.write(b"\x89MCAP0\r\n")
     path = tmp_path / "bomb.mcap"
     path.write_bytes(stream.getvalue())
-    with pytest.raises(RecordingError, match="unpacks to more than 512 MiB"):
+    with pytest.raises(RecordingError, match="larger than 512 MiB when decompressed"):
         Recording.read(path)
 
 
@@ -316,6 +316,6 @@ def test_options_and_files_of_the_command(tmp_path, monkeypatch, capsys, find_ba
     assert main(["render", "cartpole", "-o", "two.mcap"]) == 2
     assert "two.mcap already exists" in capsys.readouterr().err
     assert main(["render", str(find_ball[0]), "--episode", "7", "--output", "x.gif"]) == 2
-    assert "holds no episode 7; it holds 2 to 3" in capsys.readouterr().err
+    assert "contains no episode 7; it contains 2 to 3" in capsys.readouterr().err
     assert main(["replay", "two.mcap", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["scenario"] == "CartPole"
