@@ -93,7 +93,9 @@ def start_values(given: Sequence[str] | None) -> dict[str, Any]:
         except ValueError:
             parts = value.strip("[]() ").replace(",", " ").split()
             if parts and all(map(_is_number, parts)):
-                raise UsageError(f"--start {text}: write the numbers with commas alone: --start {name}={','.join(parts)}") from None
+                raise UsageError(
+                    f"--start {text}: separate the numbers by commas, without spaces or brackets: --start {name}={','.join(parts)}"
+                ) from None
             found[name] = value
         else:
             found[name] = numbers if len(numbers) > 1 else numbers[0]

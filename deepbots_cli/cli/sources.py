@@ -62,7 +62,7 @@ def open_source(source: str, overrides: Sequence[str], permissions: Permissions,
     opened = Source.open(source, permissions, SourceKind.SCENARIO, SourceKind.RUN, SourceKind.GROUP)
     if opened.kind is not SourceKind.SCENARIO and overrides:
         kind = "a group" if opened.kind is SourceKind.GROUP else "a run"
-        raise UsageError(f"--set changes a scenario, and {source} is {kind}, which stays as it was trained")
+        raise UsageError(f"--set works only with a scenario; {source} is {kind}, which cannot be changed after the training")
     if opened.kind is SourceKind.RUN:
         run = Run.open(opened)
         return OpenedSource(run.program, opened.document().root, run)

@@ -91,7 +91,7 @@ def with_explicit_masses(name: str, model: RobotModel, fixed_base: bool) -> Robo
         if joint.type in ("floating", "planar"):
             raise EngineError(f"the engine does not support {joint.type} joints, such as '{joint.name}' of '{name}'")
         if joint.moves and subtree_mass[joint.child] <= 0.0:
-            raise EngineError(f"joint '{joint.name}' of '{name}' moves nothing that has mass; give link '{joint.child}' an inertial")
+            raise EngineError(f"joint '{joint.name}' of '{name}' moves no mass; add an <inertial> with a mass to link '{joint.child}'")
     root = model.link(model.root).inertial
     if not fixed_base and (root is None or root.mass <= 0.0):
         model = _with_heavy_root(name, model)

@@ -169,7 +169,7 @@ class Program:
             UsageError: Both are given, or there is no such case or stage.
         """
         if case is not None and stage is not None:
-            raise UsageError("a case and a stage exclude each other")
+            raise UsageError("a case and a stage cannot be combined")
         return self.case(case).program if case is not None else self.stage(stage).program if stage is not None else self
 
     def script(self, name: str) -> Script:

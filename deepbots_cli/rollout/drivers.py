@@ -94,9 +94,7 @@ def _read_action(world: gym.Env[Any, Any], text: str) -> Any:
     parts = [width for part in world.get_wrapper_attr("scenario").agent.action for width in _slots(part)]
     words = text.split(":")
     if len(words) != len(parts):
-        raise UsageError(
-            f"the action '{text}' has {len(words)} parts, and an action of the scenario has {len(parts)}; separate the parts by colons"
-        )
+        raise UsageError(f"the action '{text}' has {len(words)} parts, but this scenario needs {len(parts)}; separate the parts by colons")
     values = [_read_part(part, word.strip()) for part, word in zip(parts, words, strict=True)]
     ranges = [value for part, value in zip(parts, values, strict=True) if isinstance(part, ActionRange)]
     choices = [int(value) for part, value in zip(parts, values, strict=True) if isinstance(part, Choices)]
@@ -122,8 +120,8 @@ def _read_part(part: Choices | ActionRange, word: str) -> float:
         value = float("nan")
     if not -1 <= value <= 1:
         order = f"; the order of its numbers is {':'.join(part.components)}" if len(part.components) > 1 else ""
-        meaning = f"they stand for {part.low:g} and {part.high:g} {part.unit}{order}"
-        raise UsageError(f"'{word}' is not a value of '{part.name}', which takes a number from -1 to 1; {meaning}")
+        scale = f"-1 is {part.low:g} {part.unit}, 1 is {part.high:g} {part.unit}"
+        raise UsageError(f"'{word}' is not valid for '{part.name}': write a number from -1 to 1 ({scale}){order}")
     return value
 
 

@@ -40,4 +40,4 @@ def test_one_round_of_a_bench_is_not_called_medians(capsys: pytest.CaptureFixtur
 
 def test_bench_refuses_worlds_without_a_batch(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "cartpole", "--worlds", "4"]) == 2
-    assert "--worlds goes with --engine batch" in capsys.readouterr().err
+    assert "--worlds needs --engine batch" in capsys.readouterr().err

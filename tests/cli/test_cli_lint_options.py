@@ -39,7 +39,7 @@ def test_codes_are_selected_and_ignored(deepbots, files):
 def test_what_is_not_asked_for_does_not_fail(deepbots, files):
     assert deepbots("lint", "warned.yaml", "--fail-on", "warning").code == 1
     ran = deepbots("lint", "warned.yaml", "--fail-on", "warning", "--select", "DB6")
-    assert (ran.code, ran.out) == (0, "warned.yaml: no findings of the selected ones\n")
+    assert (ran.code, ran.out) == (0, "warned.yaml: no findings among the selected rules\n")
 
 
 def test_an_error_that_is_not_asked_for_still_fails_and_is_told_in_one_line(deepbots, files):

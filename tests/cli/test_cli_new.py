@@ -269,7 +269,7 @@ def test_without_a_schema_a_new_scenario_names_none_and_the_way_to_one_is_said(d
 
 def test_a_template_and_a_robot_file_exclude_each_other_and_a_file_is_no_folder_to_write_into(deepbots, tmp_path):
     both = deepbots("new", "mine", "--template", "pit", "--urdf", "rover")
-    assert (both.code, "exclude each other" in both.err) == (2, True)
+    assert (both.code, "cannot be combined" in both.err) == (2, True)
     (tmp_path / "taken").write_text("")
     into = deepbots("new", "mine", "taken", "--template", "pit")
     assert (into.code, "name a folder" in into.err) == (2, True)

@@ -173,7 +173,7 @@ def test_a_robot_that_no_simulation_can_begin_with_gets_no_scenario(deepbots, tm
     (tmp_path / "light.urdf").write_text(f'<robot name="r">{massless}</robot>')
     made = deepbots("new", "first", "--urdf", "light.urdf")
     assert (made.code, made.out) == (2, "")
-    assert "joint 'j' of light.urdf moves nothing that has mass; give link 'a' an inertial" in made.err
+    assert "joint 'j' of light.urdf moves no mass; add an <inertial> with a mass to link 'a'" in made.err
     assert not (tmp_path / "first.yaml").exists()
 
 

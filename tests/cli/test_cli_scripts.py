@@ -188,7 +188,7 @@ def test_a_start_is_set_on_the_command_line(deepbots, scripted):
         ("pole=0.01", "cannot set 'pole': "),
         ("reset.joints.cart.pole_hinge=far", "it is a single number"),
         ("reset.joints.cart.pole_hinge=nan", "it is not finite"),
-        ("mark=[0.01,0.05]", "write the numbers with commas alone: --start mark=0.01,0.05"),
+        ("mark=[0.01,0.05]", "separate the numbers by commas, without spaces or brackets: --start mark=0.01,0.05"),
         ("reset.joints.cart.pole_hinge", "write NAME=VALUE, such as --start mark.x=0.5"),
     ],
 )

@@ -314,7 +314,7 @@ def test_a_stage_of_the_curriculum_can_be_run(deepbots):
 def test_a_stage_that_there_is_not_is_told_with_those_there_are(deepbots, verb):
     ran = deepbots(verb, "find_ball_random", "--stage", "full")
     assert (ran.code, "has no stage 'full'; there are: open, few, crowded" in ran.err) == (2, True)
-    assert "exclude each other" in deepbots(verb, "find_ball_random", "--stage", "few", "--case", "few").err
+    assert "cannot be combined" in deepbots(verb, "find_ball_random", "--stage", "few", "--case", "few").err
 
 
 def test_inspect_shows_every_hyperparameter_with_its_source(deepbots):

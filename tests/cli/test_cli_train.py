@@ -172,7 +172,10 @@ def test_a_model_of_a_run_is_evaluated_by_its_path(deepbots, trained):
     shown = json.loads(deepbots("eval", "mine/models/agent/last.zip", "--episodes", "2", "--json").out)
     assert (shown["run"], shown["model"]) == ("mine", "last")
     refused = deepbots("eval", "mine/models/agent/last.zip", "--last")
-    assert (refused.code, refused.err) == (2, "error: --last chooses a model, and mine/models/agent/last.zip is one\n")
+    assert (refused.code, refused.err) == (
+        2,
+        "error: --last chooses a model of a run, but mine/models/agent/last.zip is already a model; leave it out\n",
+    )
 
 
 def test_a_run_that_is_named_without_its_folder_is_found_in_the_message(deepbots, tmp_path):
@@ -224,7 +227,7 @@ def test_a_group_is_trained_listed_evaluated_and_compared_as_one(deepbots):
     assert (row["name"], row["state"], row["seeds"], row["score"]) == ("cartpole-seeds-1", "finished", [0, 2], "evaluation")
     assert row["mean_return"] == found["evaluation"]["mean_return"]
     assert [one["name"] for one in json.loads(deepbots("runs", "runs/cartpole-seeds-1", "--json").out)] == ["seed-0", "seed-2"]
-    assert deepbots("runs", "--live").err == "no run in runs is so; without options, `deepbots runs` lists all\n"
+    assert deepbots("runs", "--live").err == "no run in runs matches these options; leave them out to list all runs\n"
     group = "runs/cartpole-seeds-1"
     assert deepbots("eval", group, "--episodes", "2", "--min-return", "1000").code == 1
     if find_spec("pybullet"):
@@ -390,7 +393,7 @@ def test_warnings_about_another_scenario_are_mentioned_with_a_command_that_can_b
 def test_a_resumed_run_takes_no_other_scenario(deepbots, words):
     ran = deepbots("train", "--resume", "mine", *words)
     assert ran.code == 2
-    assert "keeps its scenario and options" in ran.err
+    assert "continues with the scenario and options of the run" in ran.err
 
 
 def test_there_must_be_something_to_train(deepbots):

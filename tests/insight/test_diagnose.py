@@ -551,7 +551,7 @@ def test_a_damaged_seed_of_a_group_hides_no_other_seed(short, tmp_path, capsys):
     assert "seed-1: " in told.out
     (group / "seed-1" / "run.json").write_text("{")
     assert main(["diagnose", str(group), "--only-logs", "--json"]) == 2
-    assert "holds no run that can be diagnosed" in capsys.readouterr().err
+    assert "contains no run that can be diagnosed" in capsys.readouterr().err
 
 
 def test_the_page_names_every_cause_and_every_planted_one_is_known():

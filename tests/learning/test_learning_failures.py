@@ -172,4 +172,4 @@ def test_actions_after_the_end_of_the_episode_are_not_repeated(trained: Training
 
 def test_a_kept_episode_takes_no_settings(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["try", "failures/0001.json", "--engine", "mujoco"]) == 2
-    assert "keeps its scenario, start and actions" in capsys.readouterr().err
+    assert "already contains its scenario, start and actions" in capsys.readouterr().err

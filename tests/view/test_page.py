@@ -255,7 +255,7 @@ def test_what_cannot_be_opened_is_told(capsys):
         Page(Showing("find_ball"), port=0, driver="nobody")
     for wrong, message in (
         (["find_ball", "--world", "3"], "there is no world 3; add --worlds N"),
-        (["find_ball", "--worlds", "4", "--world", "4"], "a batch of 4 worlds has worlds 0 to 3"),
+        (["find_ball", "--worlds", "4", "--world", "4"], "--worlds 4 creates the worlds 0 to 3"),
         (["find_ball", "--worlds", "4", "--driver", "around"], "'around' cannot drive a batch"),
         (["find_ball", "--worlds", "4", "--engine", "pybullet"], "the engine 'pybullet' has no batches"),
         (["see_ball", "--worlds", "4"], "it has cameras"),

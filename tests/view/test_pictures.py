@@ -124,7 +124,7 @@ def test_the_commands_write_their_files_and_refuse_what_they_cannot(tmp_path, ca
     assert main(["render", "cartpole", "--size", "120x90", "--seconds", "0.1", "--episodes", "2", "-o", "each.gif"]) == 0
     assert sorted(path.name for path in tmp_path.glob("each*")) == ["each-0.gif", "each-1.gif"]
     for words, said in (
-        (["render", "cartpole", "--last"], "--last chooses a model of a run, and cartpole is none"),
+        (["render", "cartpole", "--last"], "--last chooses a model of a run, but cartpole is not a run"),
         (["render", "cartpole", "-o", "a.jpg"], "a.jpg must end in .png, .mp4, .gif, .html or .mcap; the suffix says what is made"),
         (["render", "cartpole", "-o", "none/a.gif"], "no directory"),
         (["render", "cartpole", "--size", "9x9"], "is not a size"),

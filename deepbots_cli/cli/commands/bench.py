@@ -82,7 +82,7 @@ def command(
     for name in names:
         known_engine("mujoco" if name == throughput.BATCH else name)
     if worlds is not None and throughput.BATCH not in names:
-        raise UsageError("--worlds goes with --engine batch")
+        raise UsageError("--worlds needs --engine batch")
     several = len(names) > 1 or throughput.BATCH in names
     changed = with_engine(overrides, None if several or not names else names[0])
     compiled = api.compile(scenario, overrides=changed, permissions=permissions)

@@ -57,9 +57,9 @@ def compile_(
     Next: `cd my_cartpole && python run.py` runs the project.
     """
     if program and as_json:
-        raise UsageError("--program and --json exclude each other; --program prints JSON already")
+        raise UsageError("--program and --json cannot be combined; --program already prints JSON")
     if target not in ("scalar", "batch"):
-        raise UsageError(f"there is no target '{target}'; there are scalar and batch")
+        raise UsageError(f"there is no target '{target}'; use scalar or batch")
     if project is not None:
         if output is not None or program or target != "scalar":
             raise UsageError("--project writes the module for one world; leave out --output, --program and --target")

@@ -88,7 +88,7 @@ def _lines(found: Comparison) -> Iterator[str]:
         rows.append(row | {share: entry.mean_return.improvement})
     yield table(rows)
     if not all(entry.between_seeds for entry in found.differences):
-        yield ("episodes_better: fraction of episodes with a higher return than in the first run; equal returns count half")
+        yield ("episodes_better: fraction of episodes with a higher return than in the first run; an equal return is counted as one half")
     yield from (entry.verdict for entry in found.differences)
     yield from (f"note: {note}" for note in found.notes)
 

@@ -118,7 +118,7 @@ def _trace(shown: str, episode: int | str | None, seed: int | None, *, last: boo
         return next(trace.trace_recorded(opened, [recorded]))
     if source is None:
         if episode is not None:
-            raise UsageError(f"{shown} holds a single episode; leave out --episode")
+            raise UsageError(f"{shown} contains a single episode; leave out --episode")
         return trace.trace_failure(Path(shown), permissions=permissions)
     run = Run.open(source)
     if episode == FAILED_EPISODES:
@@ -243,6 +243,6 @@ def _diagnose(run: Path, *, only_logs: bool, as_json: bool, permissions: Permiss
         for number, cause in enumerate(causes, start=1):
             terminal.print_result(f"\n{number}. {cause.text}\n   Try: {cause.advice}")
     if all("error" in each for each in found):
-        raise RunError(f"{run} holds no run that can be diagnosed")
+        raise RunError(f"{run} contains no run that can be diagnosed")
     if as_json:
         terminal.show_json({"runs": found})

@@ -95,7 +95,9 @@ def command(
     if scenario.endswith(".json") and Path(scenario).parent.name == "failures":
         given = any((overrides, case, stage, engine, permissions.folders, steps, seed, start))
         if given or driver != RANDOM or episodes != COUNT:
-            raise UsageError("the file of a failed episode keeps its scenario, start and actions; it takes only --json and --allow-code")
+            raise UsageError(
+                "the file of a failed episode already contains its scenario, start and actions; only --json and --allow-code can be added"
+            )
         _reproduce(Path(scenario), permissions=permissions, as_json=as_json)
         return
     options = start_values(start)

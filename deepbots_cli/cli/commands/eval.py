@@ -165,22 +165,22 @@ def command(
     single = ("baselines", "details")
     if episodes == FAILED_EPISODES:
         others = [name for name in given if name not in ("run", "episodes", "force", "as-json", "permissions")]
-        _refuse("does not go with --episodes failed, which repeats the last evaluation as it was", given, others)
+        _refuse("cannot be combined with --episodes failed, which repeats the last evaluation unchanged", given, others)
         repeat_failed(Run.open(run), as_json=as_json, permissions=permissions)
         return
     gates = Gates(min_success, min_return, require_solved)
     _check_files(csv, junit, gates, force=force)
     source = Source.open(run, permissions, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.GROUP)
     if source.model is not None:
-        _refuse(f"chooses a model, and {run} is one", given, ("last",))
+        _refuse(f"chooses a model of a run, but {run} is already a model; leave it out", given, ("last",))
     chosen: dict[str, Any] = {"episodes": episodes, "model": source.model or ("last" if last else "best")}
     chosen |= {"permissions": permissions, "deterministic": not stochastic}
     several: Sequence[str | None] = engine or [None]
     if len(several) > 1:
-        _refuse("evaluates in one engine; name one with --engine", given, single)
+        _refuse("needs a single engine; name only one with --engine", given, single)
     if source.kind is SourceKind.GROUP:
         group = Group.open(source)
-        one = f"evaluates a single run, and {run} is a group; name one of its runs, such as {group.runs[0] if group.runs else run}"
+        one = f"needs a single run, but {run} is a group; name one of its runs, such as {group.runs[0] if group.runs else run}"
         _refuse(one, given, single)
         scenarios = [evaluation_scenario(source, group.record.engine, scenario, overrides, name) for name in several]
         chosen |= {"seed": seed or 0, "case": case, "stage": stage}
@@ -286,7 +286,7 @@ def _check_files(csv: Path | None, junit: Path | None, gates: Gates, *, force: b
     """Find out before a long evaluation whether its files can be written, and have a content."""
     check_output(*filter(None, (csv, junit)), force=force)
     if junit is not None and gates == Gates(None, None, False):
-        raise UsageError("--junit writes requirements, and there is none; add --min-success, --min-return or --require-solved")
+        raise UsageError("--junit needs a requirement to write; add --min-success, --min-return or --require-solved")
 
 
 Requirement = tuple[str, bool, str]

@@ -56,7 +56,7 @@ def command(
         _check(source, check, overrides or (), Permissions(allow_paths or (), code=True), as_json=as_json, writes=out is not None or last)
         return
     if overrides or allow_paths:
-        raise UsageError("--set and --allow-path are for the scenario of --check; a run is exported as it was trained")
+        raise UsageError("--set and --allow-path need --check SCENARIO; a run is always exported as it was trained")
     folder = out or Path(f"{source.resolve().name}-onnx")
     check_new_folder(folder, force=force)
     run = Run.open(source)

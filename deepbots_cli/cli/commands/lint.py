@@ -146,7 +146,7 @@ def lint(
     if fix or diff or unsafe_fixes:
         _check_fixing(fix, diff, overrides, names)
         if diff and (as_json or format):
-            raise UsageError("--diff shows changes instead of findings, so it excludes --format and --json")
+            raise UsageError("--diff cannot be combined with --format or --json: it prints changes instead of findings")
         findings, changes = _fixed(names, look, selection, unsafe=unsafe_fixes, show=diff)
     else:
         findings = findings_of(names, look, jobs)
@@ -238,7 +238,7 @@ def _check_simulator(fixing: bool) -> None:
     from deepbots_cli.lint.simulation import require_simulator
 
     if fixing:
-        raise UsageError("findings of --deep have no fixes; run it without --fix and --diff")
+        raise UsageError("--deep cannot be combined with --fix or --diff: its findings have no automatic fixes")
     require_simulator()
 
 
@@ -246,9 +246,9 @@ def _check_fixing(fix: bool, diff: bool, overrides: list[str] | None, names: Seq
     if not (fix or diff):
         raise UsageError("--unsafe-fixes needs --fix, or --diff to show the changes")
     if overrides:
-        raise UsageError("--set does not change files, so it excludes --fix and --diff")
+        raise UsageError("--set cannot be combined with --fix or --diff: it does not change files")
     if STDIN in names:
-        raise UsageError("standard input cannot be fixed; name the file")
+        raise UsageError("--fix cannot change standard input; pass the name of the file")
 
 
 def _fixed(names: Sequence[str], look: LintOptions, selection: Selection, *, unsafe: bool, show: bool) -> tuple[list[Finding], bool]:
@@ -289,7 +289,7 @@ def _sum_up(findings: list[Finding], names: list[str], selection: Selection, *, 
     """Print the number of findings, and of those with a fix."""
     if not findings:
         called = names[0] if len(names) == 1 else f"{len(names)} scenarios"
-        asked = "" if selection.selects_all else " of the selected ones"
+        asked = "" if selection.selects_all else " among the selected rules"
         terminal.print_result(f"{called}: no findings{asked}{', including the simulation' if deep else ''}")
         return
     terminal.print_result(summary(findings))

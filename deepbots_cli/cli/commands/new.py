@@ -105,9 +105,9 @@ def new(
     starts = {"--template": template, "--from": shipped_name, "--urdf": urdf}
     given = [option for option, value in starts.items() if value]
     if len(given) > 1:
-        raise UsageError(f"{' and '.join(given)} exclude each other; choose one start")
+        raise UsageError(f"{' and '.join(given)} cannot be combined; choose one of them")
     if not given:
-        raise UsageError(f"choose a start: --template {'|'.join(Template)}, --from SCENARIO, or --urdf ROBOT")
+        raise UsageError(f"choose what to start from: --template {'|'.join(Template)}, --from SCENARIO, or --urdf ROBOT")
     if project is not None:
         if folder != Path(".") or schema:
             raise UsageError("--project names the folder, and writes a schema for all its scenarios; leave out DIR and --schema")
@@ -190,7 +190,8 @@ def _reference(robot: str, folder: Path) -> str:
     found = resolve_reference(path, folder.resolve(), [project_root(folder), *shipped.data_roots()])
     if isinstance(found, UnusableFile):
         raise UsageError(
-            f"a scenario in {folder.resolve()} may not read {robot}, which {found.headline.partition('` ')[2]}; copy it into the folder"
+            f"a scenario in {folder.resolve()} may not read {robot}, because the file {found.headline.partition('` ')[2]}; "
+            "copy it into the folder"
         )
     return path
 
@@ -304,7 +305,7 @@ def write_new(files: Files, folder: Path, *, force: bool = False) -> list[Path]:
         UsageError: Other files are in the way; lists them. Or a file cannot be written. No new file is left in either case.
     """
     if folder.exists() and not folder.is_dir():
-        raise UsageError(f"{folder} is a file; name a folder, which need not be there yet")
+        raise UsageError(f"{folder} is a file; name a folder (deepbots creates it if it does not exist)")
     wanted = {folder / target: content for target, content in files.items()}
     present = {path for path in wanted if path.exists() or path.is_symlink()}
     if in_the_way := [path for path in present if not path.is_file() or path.read_bytes() != wanted[path]]:

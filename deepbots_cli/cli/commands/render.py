@@ -199,7 +199,7 @@ def command(
         raise UsageError(f"{shown} is already a recording; `deepbots render {shown} -o video.mp4` makes a video of it")
     run = Run.open(opened) if opened.kind is SourceKind.RUN else None
     if last and run is None:
-        raise UsageError(f"--last chooses a model of a run, and {shown} is none")
+        raise UsageError(f"--last chooses a model of a run, but {shown} is not a run")
     if episodes == FAILED_EPISODES:
         if run is None or last or any(value is not None for value in (seed, episode, driver)):
             raise UsageError("--episodes failed repeats an evaluation of a run; leave out --seed, --episode, --driver and --last")

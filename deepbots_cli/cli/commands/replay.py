@@ -66,7 +66,7 @@ def command(
     opened = Showing(recording.removesuffix(RECORDING_SUFFIX) + RECORDING_SUFFIX, permissions=permissions).open()
     found, notes = opened.recording, version_changes(opened.recording)
     if not to_verify and (tolerance or scenario):
-        raise UsageError("--tolerance and --scenario are for --verify")
+        raise UsageError("--tolerance and --scenario need --verify")
     if overrides and not scenario:
         raise UsageError("--set needs --scenario: it changes a scenario, and not the recording; add --scenario and its name")
     if not to_verify:
@@ -83,7 +83,9 @@ def command(
         shown, changed = _elsewhere(opened, scenario, overrides or (), permissions)
         notes += changed
     elif opened.checked().digest != found.metadata.get("digest"):
-        notes.append("the scenario in the recording means something else than when it was recorded; it or deepbots has changed")
+        notes.append(
+            "the scenario in the recording compiles to a different program than when it was recorded: the file or deepbots has changed"
+        )
     for note in notes:
         terminal.note(note)
     with closing(Player(shown, "zero")) as player, terminal.progress(always=False) as show:

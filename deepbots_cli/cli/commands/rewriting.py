@@ -128,7 +128,9 @@ def write(rewrite: Rewrite) -> None:
     path = rewrite.path
     with atomic_write(path) as draft:
         if path.read_bytes() != rewrite.before:
-            raise UsageError(f"{files.display_path(path)} was changed by someone else meanwhile, and is left alone")
+            raise UsageError(
+                f"another program changed {files.display_path(path)} in the meantime, so it was not overwritten; run the command again"
+            )
         with path.open("r+b"):  # a file that its owner made read-only stays as it is, though its folder would let it be replaced
             pass
         draft.write_bytes(rewrite.after)

@@ -67,7 +67,7 @@ def command(
     """
     source = Source.open(run, permissions, SourceKind.RUN, SourceKind.CHECKPOINT)
     if source.model is not None and last:
-        raise UsageError(f"--last chooses a model, and {run} is one")
+        raise UsageError(f"--last chooses a model of a run, but {run} is already a model; leave it out")
     model: ModelName = "last" if last or source.model == "last" else "best"
     known, gates = Run.open(source.path), Gates(min_success, min_return, False)
     gates.check(known.program)

@@ -81,7 +81,7 @@ def command(
             if run.remarks:
                 terminal.note(f"{run.path.name}: about its evaluation: {'; '.join(run.remarks)}")
     elif scenario is not None or solved or live:
-        terminal.note(f"no run in {folder} is so; without options, `deepbots runs` lists all")
+        terminal.note(f"no run in {folder} matches these options; leave them out to list all runs")
     else:
         terminal.note(f"there are no runs in {folder}; next: deepbots train cartpole")
 

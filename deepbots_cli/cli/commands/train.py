@@ -117,8 +117,8 @@ def command(
         made_with = (scenario, overrides, seed, seeds, run, stage, engine, permissions.folders or None, keep_checkpoints, initialize_from)
         if any(option is not None for option in made_with):
             raise UsageError(
-                "a resumed run keeps its scenario and options;"
-                " --resume accepts only --timesteps, --full, --callback, --logger, --quiet, --allow-code and --json"
+                "--resume continues with the scenario and options of the run;"
+                " only these options can be added: --timesteps, --full, --callback, --logger, --quiet, --allow-code, --json"
             )
         changes: dict[str, Any] = {"total_timesteps": timesteps, "stop_when_solved": False if full else None, "permissions": permissions}
         changes |= {"callbacks": _names(callbacks), "loggers": _names(loggers), "progress": progress}
@@ -132,7 +132,7 @@ def command(
     elif scenario is None:
         raise UsageError("there is no scenario to train; name one, such as: deepbots train cartpole")
     elif seeds is not None and seed is not None:
-        raise UsageError("--seed and --seeds exclude each other")
+        raise UsageError("--seed and --seeds cannot be combined")
     elif run is not None and run.exists():
         raise UsageError(f"--run: {run} already exists; choose another directory, because runs are not overwritten")
     else:

@@ -108,7 +108,7 @@ def view(
     Next: `deepbots play SCENARIO` lets you drive.
     """
     if world >= (worlds or 1):
-        reason = f"a batch of {worlds} worlds has worlds 0 to {worlds - 1}" if worlds else "add --worlds N"
+        reason = f"--worlds {worlds} creates the worlds 0 to {worlds - 1}" if worlds else "add --worlds N"
         raise UsageError(f"there is no world {world}; {reason}")
     from deepbots_cli.view.episodes import Showing
 

@@ -109,9 +109,9 @@ def scenario(model: RobotModel, urdf: str, name: str) -> str:
     build = Build(model)
     if build.weightless:
         joint = build.weightless[0]
-        raise UsageError(f"joint '{joint.name}' of {urdf} moves nothing that has mass; give link '{joint.child}' an inertial with one")
+        raise UsageError(f"joint '{joint.name}' of {urdf} moves no mass; add an <inertial> with a mass to link '{joint.child}'")
     if not build.driven and not build.rotors:
-        raise UsageError(f"{urdf} has no joint with a motor and no rotor, so there is nothing that a policy could do with it")
+        raise UsageError(f"{urdf} has neither a joint that a motor can drive nor a rotor, so a policy could not control it")
     draft = Draft(build, urdf)
     template, values = next((task.__name__, values) for task in _suited(build) if (values := task(draft)) is not None)
     text = (
