@@ -233,11 +233,11 @@ class _StillRanges(Ranges):
 def hovering_pays(context: RuleContext) -> Iterator[Finding]:
     """DB708: an episode can collect more reward without success than success pays, because success ends the episode.
 
-    The agent learns to stay just outside of the goal, for example 5 mm from its target, or to move in it so slowly that it never stops.
-    Pay for progress (`-10 * delta(distance) / m`), or pay more for the success than the rest of an episode can pay.
+    The agent learns to stay just outside the goal, for example 5 mm from the target, or to move within the goal so slowly that it never
+    comes to rest. Reward progress (`-10 * delta(distance) / m`), or make success pay more than the rest of an episode can pay.
 
-    The rule adds up the largest reward of a step in which nothing moves, and in which one of the conditions of the success
-    just fails to hold. The rule does not report rewards that are small compared with the success after discounting.
+    The rule adds up the largest reward of a step in which nothing moves, and in which one condition of the success is only just
+    false. The rule does not report rewards that are small compared with the success after discounting.
 
     Example::
 

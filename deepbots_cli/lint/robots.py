@@ -53,11 +53,11 @@ _JOINT_KEYS = ("joint", "joints")
 
 
 def command_cut_off(context: RuleContext) -> Iterator[Finding]:
-    """DB312: an actuator cuts off most of the commands that the agent can give, so that most actions have the same effect.
+    """DB312: most commands of the agent are beyond the limits of an actuator, so most actions have the same effect.
 
-    A speed beyond the limit of the motor, a thrust beyond its range and a position beyond the stop of the joint are clipped. Where the
-    actuator can follow less than a quarter of the range of commands, few actions make a difference, and the noise of exploration has
-    no effect. Commands that depend on sensors are not reported.
+    A speed beyond the limit of the motor, a thrust beyond its range and a position beyond the stop of the joint are clipped. If the
+    actuator can follow less than a quarter of the range of commands, few actions make a difference, and exploration has little
+    effect. Commands that depend on sensors are not reported.
 
     Example::
 
@@ -305,12 +305,12 @@ def _missed(simulation: Simulation, miss: UnreachedPose) -> Finding:
 
 
 def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
-    """The first command turns a link far in place, because the link starts in another attitude."""
+    """The first command turns a link far in place, because the link starts in another orientation."""
     span = simulation.values.span(("robots", miss.robot, "actuators", miss.actuator, "rpy"))
     angles = [round(degrees(angle)) for angle in miss.start]
     start = " ".join(str(180 if angle == -180 else angle) for angle in angles)
     headline = f"the first command turns `{miss.actuator}` by {degrees(miss.turn):.3g} deg in place"
-    help = f"write `rpy: {start} deg`, which is near the initial attitude, or start the arm in another pose"
+    help = f"write `rpy: {start} deg`, which is near the initial orientation, or start the arm in another pose"
     notes = (
         simulation.when(SimulationPosition(miss.policy, miss.seed, miss.step)),
         "the joints may move far before the link reaches the pose",

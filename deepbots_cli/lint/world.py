@@ -266,12 +266,12 @@ def _body_in(simulation: Simulation, text: str) -> str:
 
 
 def identical_episodes(context: RuleContext) -> Iterator[Finding]:
-    """DB809: nothing is random, so that all episodes are the same.
+    """DB809: nothing is random, so all episodes are the same.
 
-    Physics is deterministic. A policy without noise behaves the same in all episodes of an evaluation: their standard deviation is 0,
-    and they show one start only. Draws, noise, lost messages, free spots, several layouts and Python code count as random; scenarios
-    with several cases of the evaluation or stages of a curriculum are not reported. If one start is intended, one episode is enough:
-    `evaluation: {episodes: 1}`.
+    Physics is deterministic. A policy without noise behaves the same in all episodes of an evaluation: the standard deviation of their
+    returns is 0, and they test only one start. The rule treats draws, noise, lost messages, free positions, several layouts and Python
+    code as random. It does not report scenarios with several cases of the evaluation or stages of a curriculum. If one start is
+    intended, one episode is enough: `evaluation: {episodes: 1}`.
 
     Example::
 
