@@ -219,7 +219,7 @@ def load_model(run: Run, name: ModelName, world: gym.Env[Any, Any] | None = None
     """
     training = run.program.agent.training
     if training is None:
-        raise RunError(f"{run.path} holds a scenario without a 'train' section")
+        raise RunError(f"{run.path} contains a scenario without a `train` section")
     if world is None:
         spaces = observation_space(run.program.agent), action_space(run.program.agent)
     else:

@@ -81,7 +81,7 @@ class Policy:
             if len(wrong):
                 place = int(wrong[0][-1])
                 name = f" of {self.observation[place].name}" if part is observation and place < len(self.observation) else ""
-                raise UsageError(f"the observation holds a value{name} that is not finite: {numbers[tuple(wrong[0])]}")
+                raise UsageError(f"the observation contains a value{name} that is infinite or NaN: {numbers[tuple(wrong[0])]}")
         masks = action_mask if self._model.takes_masks else None
         rows = len(observation) if np.ndim(observation) > 1 and not isinstance(observation, dict) else 1
         action, self._memory = self._model.predict(observation, self._memory, np.full(rows, self._begins), deterministic, masks)

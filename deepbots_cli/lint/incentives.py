@@ -275,7 +275,7 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
         prize = total_range(reward.terms, _just_before(reward.ranges_at(success), threshold)).high
         if pay * steps + fine > prize and pay * min(steps, _horizon(reward) * context.program.action_repeat) > _MIN_WORTH * prize:
             headline = f"an episode that avoids `{success.name}` can collect up to {pay:.3g} per step, {pay * steps:.4g} in all"
-            headline += f", and `{success.name}` pays {prize:.3g} once"
+            headline += f", but `{success.name}` pays {prize:.3g} only once"
             best = max(ordinary, key=lambda term: waiting.of(term[1]).high)[0]
             yield Finding("DB708", best.span, headline, _PROGRESS_HELP, labels=(Label(success.span, "ends these payments"),))
             return
@@ -374,7 +374,7 @@ def _place_pays(simulation: Simulation, success: Expression) -> list[Finding]:
     if pay <= 0.0 or pay * steps <= prize or pay * min(steps, _horizon(reward)) <= _MIN_WORTH * prize:
         return []
     headline = f"`{best.name}` pays up to {pay:.3g} in a step, {pay * steps:.4g} in an episode that stays there"
-    headline += f", and `{success.name}` pays {prize:.3g} once"
+    headline += f", but `{success.name}` pays {prize:.3g} only once"
     also = (Label(success.span, "ends these payments"),)
     return [Finding("DB708", best.span, headline, _PROGRESS_HELP, notes=(simulation.summary,), labels=also)]
 

@@ -296,7 +296,7 @@ def test_a_policy_refuses_a_value_that_is_not_finite_and_names_it(trained: Train
     policy = load_policy(trained.run)
     with pytest.raises(UsageError, match=r"^the value of speed is nan; it must be finite$"):
         policy.observe({"x": 0.0, "speed": float("nan"), "cart.pole_angle": 0.0, "tip_speed": 0.0})
-    with pytest.raises(UsageError, match=r"^the observation holds a value of cart\.pole_angle that is not finite: inf$"):
+    with pytest.raises(UsageError, match=r"^the observation contains a value of cart\.pole_angle that is infinite or NaN: inf$"):
         policy(np.array([[0, 0, 0, 0], [0, 0, np.inf, 0]], np.float32))
 
 
