@@ -43,7 +43,7 @@ def test_the_scenario_of_a_group_is_opened_like_that_of_its_runs(trained_group: 
     group = open_source(str(trained_group.group), (), Permissions())
     run = open_source(str(trained_group.group / "seed-0"), (), Permissions())
     assert scenario_changes(group, run) == []
-    with pytest.raises(UsageError, match="is a group, which stays as it was trained"):
+    with pytest.raises(UsageError, match="is a group, which cannot be changed after the training"):
         open_source(str(trained_group.group), ("track=1 m",), Permissions())
 
 
