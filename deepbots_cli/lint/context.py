@@ -108,7 +108,7 @@ class Simulation(RuleContext):
     # Words
 
     def called(self, body: str) -> str:
-        """The name of a body in a sentence; a wall of one piece has the name that the scenario gives it."""
+        """The name of a body in a sentence; a wall with one segment has the name that the scenario gives it."""
         wall = self.walls.get(body, body)
         return wall if list(self.walls.values()).count(wall) == 1 else body
 
@@ -120,7 +120,7 @@ class Simulation(RuleContext):
         if doing == "reset":
             return f"in the reset with seed {seed}"
         time = f" ({step * self.program.period:.4g} s)" if step else ""
-        return f"in step {step}{time} of the episode with seed {seed}, {doing}"
+        return f"in step {step}{time} of the episode with seed {seed} ({doing})"
 
     @property
     def summary(self) -> str:

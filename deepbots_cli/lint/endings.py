@@ -390,8 +390,9 @@ def _unreachable(analysis: Analysis, asked: Threshold) -> tuple[str, str] | None
     touching = _touching_distance(_cores(analysis, a), _cores(analysis, b))
     if limit < _TOUCHING_FACTOR * touching:
         apart = with_unit(round(touching, 4), LENGTH)
-        words = f"requires {with_unit(limit, LENGTH)} between the origins of `{a}` and `{b}`, which are {apart} apart when the two touch"
-        return words, "require a larger distance, or use the `clearance` between surfaces"
+        words = f"requires the origins of `{a}` and `{b}` to come within {with_unit(limit, LENGTH)} of each other"
+        words += f", but they are {apart} apart when the bodies touch"
+        return words, f"raise the limit above {apart}, or use the `clearance` between surfaces"
     outside = next((body for body in (a, b) if _is_outside(analysis, body, limit)), None)
     if outside and any(robot.name in pair - {outside} and not robot.fixed_base for robot in analysis.program.world.robots):
         words = f"requires the robot to reach `{outside}`, which lies outside the walls of the arena"
@@ -495,13 +496,12 @@ def idle_test(context: RuleContext) -> Iterator[Finding]:
             outcome = _only_outcome(analysis, test, expected)
             if outcome is not None:
                 headline = f"the test `{test.name}` cannot pass: `{expected.key}` is never met"
+                help = f"change the condition, which is true in none of the {test.steps} steps of the test"
+                if expected.key == "eventually":
+                    help += ", or let the test run longer"
                 if outcome:
                     headline = f"`{expected.key}` of the test `{test.name}` checks nothing: it is always met"
-                help = (
-                    "write an expectation that a mistake in the scenario would violate"
-                    if outcome
-                    else "write an expectation that an episode can meet"
-                )
+                    help = "write an expectation that a mistake in the scenario would violate"
                 yield Finding("DB813", expected.span, headline, help)
 
 

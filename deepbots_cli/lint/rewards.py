@@ -191,20 +191,24 @@ def dominating_term(simulation: Simulation) -> Iterator[Finding]:
             others = sum(other[by].absolute_total for name, other in simulation.terms() if name is not term) / episodes
             size, rival = row.absolute_total / episodes, max(others, prize)
             ratios.append(size / rival if rival > 0.0 and row.low < row.high else 0.0)
-            notes.append(
-                f"{by}: {size:.3g} per episode, and {others:.3g} for all other terms" + (f", {prize:.3g} for an ending" if prize else "")
-            )
+            note = f"{by}: `{term.name}` adds up to {_short(size)} per episode, all other terms to {_short(others)}"
+            notes.append(f"{note}, and an ending pays up to {_short(prize)}" if prize else note)
         if min(ratios) > _DOMINANCE_RATIO:
-            headline = f"`{term.name}` adds up to at least {min(ratios):.3g} times all other terms together"
+            headline = f"summed over an episode, `{term.name}` is at least {_short(min(ratios))} times as large as all other terms together"
             yield Finding("DB702", term.span, headline, f"scale `{term.name}` down, or the other terms up", notes=tuple(notes))
+
+
+def _short(number: float) -> str:
+    """Three digits without an exponent: `6050`, not `6.05e+03`."""
+    return f"{float(f'{number:.3g}'):g}"
 
 
 def inactive_term(context: RuleContext) -> Iterator[Finding]:
     """DB704: a term of the reward is zero in every step.
 
     Its condition is never true, it is a difference of constants, or it has a factor of zero. Links of one robot never
-    touch each other, so the rule reports every contact between them. A term that is written as 0, or is multiplied by a
-    parameter of 0, is disabled on purpose, and is not reported.
+    touch each other, so the rule also reports every `contact` of two links of one robot. A term that is written as 0, or
+    is multiplied by a parameter of 0, is disabled on purpose, and is not reported.
 
     Example::
 

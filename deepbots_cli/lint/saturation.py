@@ -124,7 +124,8 @@ def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
 
 def _unseen(context: RuleContext, analysis: Analysis, view: BlindNumber, ending: Expression, comparison: ConditionComparison) -> Finding:
     number, name, limit = view.number, view.number.name, view.threshold.limit
-    help, fix = f"widen the range of `{name}`, or of the `clamp` in its value, so that it still changes at the limit", None
+    help, fix = f"widen the range of `{name}`, or the bounds of a `clamp` in its value", None
+    help += f", so that it still changes at the limit of `{ending.name}`"
     if analysis.identity(number.node) == analysis.identity(view.threshold.quantity):
         end = "high" if view.threshold.above else "low"
         headline = f"the {end} end of the range of `{name}` is {with_unit(view.edge, number.dimension)}, but the episode fails only"

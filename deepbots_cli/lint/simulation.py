@@ -29,7 +29,7 @@ from deepbots_cli.program.task import idle_action
 
 HOLD_STEPS = 8
 """Steps for which a random action is held. Actions that are new in every step cancel each other, and move little."""
-RANDOM, HELD_RANDOM, IDLE = "random actions", f"random actions that each last {HOLD_STEPS} steps", "doing nothing"
+RANDOM, HELD_RANDOM, IDLE = "random actions", f"random actions held for {HOLD_STEPS} steps each", "doing nothing"
 
 _RESETS = 24
 _RANDOM_EPISODES, _RANDOM_STEPS, _ENOUGH_STEPS = 24, 250, 1500

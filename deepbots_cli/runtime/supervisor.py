@@ -7,6 +7,7 @@ controller reads its own sensors and acts on messages.
 from __future__ import annotations
 
 import math
+import re
 import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -553,6 +554,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
             return error
         self.engine.require_finite()  # a world that blew up is the engine's failure, not the expression's
         statement = (frames[-1].line or "").partition("  # ")[0]  # without the text of the scenario, which the comment repeats
+        statement = re.sub(r"\bself\.(term_)?", "", statement)  # the scenario has the names without a prefix
         return EvaluationError(f"step {self.step_count}: no value for `{statement}`: {error}")
 
     def __reduce__(self) -> tuple[Any, ...]:

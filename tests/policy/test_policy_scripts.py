@@ -227,5 +227,5 @@ def test_a_script_without_a_value_is_an_error_that_shows_where(small: Small) -> 
     environment = small(REWARD + "scripts: {go: {drive: 1 / (step - 1)}}\n")
     environment.reset(seed=0)
     environment.step(environment.script("go"))
-    with pytest.raises(EvaluationError, match=r"no value for `return self.make_action\(.*division"):
+    with pytest.raises(EvaluationError, match=r"no value for `return make_action\(.*division"):
         environment.script("go")
