@@ -162,20 +162,32 @@ class _Key:
 def _value(spec: Shape) -> str:
     match spec:
         case Quantity(words=words, relative=relative):
-            more = [f"`{word}`" for word in words] + ["`2 %`"] * relative
+            more = [f"`{word}`" for word in words] + ["a percentage"] * relative
             return " or ".join([spec.noun, *more])
         case FieldType():
             return _cell(spec.noun)
+        case ListOf(item=FieldType() as item):
+            return f"list of {_cell(item.plural)}"
         case ListOf(item=item):
-            return f"list: {_value(item)}"
+            return f"list, each: {_inner(item)}"
         case MappingOf(value=value):
-            return f"mapping, each: {_value(value)}"
-        case Forms(options=options):
-            return " **or** ".join(dict.fromkeys(_value(option) for option in options))
+            return f"mapping, each: {_inner(value)}"
+        case Forms(options=options):  # short ones first: what follows `each:` extends to the end
+            return " **or** ".join(dict.fromkeys(sorted(map(_value, options), key=_openness)))
         case Kinds(key=key):
             return f"mapping, kind given by `{key}`"
         case _:
             return "mapping"
+
+
+def _openness(value: str) -> tuple[int, bool]:
+    return value.count("each:"), value.startswith("list")
+
+
+def _inner(spec: Shape) -> str:
+    """The value of each entry; several forms in parentheses."""
+    text = _value(spec)
+    return f"({text})" if " **or** " in text and isinstance(spec, Forms) else text
 
 
 def _known(spec: Shape) -> str:
@@ -209,7 +221,7 @@ _FAMILIES = {
     Family.PURE: "Arithmetic",
     Family.WORLD: "The world",
     Family.MESSAGE: "Messages",
-    Family.STATEFUL: "With a memory",
+    Family.STATEFUL: "Functions with a memory",
     Family.DRAW: "Draws",
 }
 _KNOWN = {

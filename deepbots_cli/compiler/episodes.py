@@ -239,7 +239,7 @@ def _start_value(
     reached = typed.type.intervals or (typed.type.interval,) * len(allowed)
     for reach, limits in zip(reached, allowed, strict=True):
         if dimension == subject.dimension and reach.is_finite and not reach.is_within(limits):
-            help = "set a position within the limits: an engine pushes the joint back at once"
+            help = "set a position within the limits; otherwise the physics engine pushes the joint back at once"
             warn_beyond_limits(values, text, dimension, limits, "an initial position of", reach, help)
             break
     return text.expression(typed, key, per_component=joints if len(joints) > 1 else None)

@@ -241,7 +241,7 @@ class _VariantCompiler:
         for found in checked.findings:
             if found.sort_key not in self._known:
                 inside = any(span.source is found.span.source and span.start <= found.span.start <= span.end for span in written)
-                also = found.labels if inside else (*found.labels, Label(here, f"in this {word}"))
+                also = found.labels if inside else (*found.labels, Label(here, f"with the settings of this {word}"))
                 self._values.findings.append(replace(found, labels=also))
         return checked.program if checked.program is not None and self._admits_same_policy(checked.program, word, name, here) else None
 

@@ -223,7 +223,8 @@ class Namespace:
         end = "minimum" if kind.minimum is not None and reach.low == -math.inf else "maximum"
         if end == "maximum" and (kind.maximum is None or reach.high < math.inf):
             return True
-        help = "keep it within bounds, as in `clamp(normal(2 +- 1), 1 .. 3)`"
+        unit = "" if typed.type.dimension == NUMBER else f" {typed.type.dimension}"
+        help = f"keep it within bounds, as in `clamp(normal(2 +- 1{unit}), 1 .. 3{unit})`"
         self.values.add("DB105", text.span, f"`{text.path[-1]}` is drawn without a {end}", help)
         return False
 
@@ -530,7 +531,9 @@ class SupervisorScope(_Scope):
             refused = None if self.context is Context.REWARD else "it is computed after the endings; use it only in rewards"
             return Symbol(name, Type(boolean=True, known=Known.STEP) if refused is None else None, refusal=refused)
         if name == "goal_reached":
-            return Symbol(name, None, refusal=None if self.namespace.is_invalid("goal") else "this scenario has no `goal`")
+            return Symbol(
+                name, None, refusal=None if self.namespace.is_invalid("goal") else "define a `goal`, or use the name of an ending"
+            )
         return None
 
     def names(self) -> Iterable[str]:
@@ -561,15 +564,21 @@ class RobotScope(_Scope):
             if symbol is None or symbol.type is None or symbol.type.known is Known.FIXED:
                 return symbol
             if not arrives:
-                return Symbol(
-                    name, None, refusal=f"the robot cannot read a random parameter; send it to the robot: `receive: {{{name}: {name}}}`"
-                )
+                return Symbol(name, None, refusal=f"the robot cannot read a random parameter; {self._instead(name)}")
         if arrives:
-            return Symbol(name, None, refusal="a robot cannot send back a value that it receives; use the value in `apply`")
+            return Symbol(
+                name, None, refusal="the supervisor already has this value: remove it here; to observe it, define it under `augment`"
+            )
         if name in _BUILT_IN or origin in (Origin.AUGMENT, Origin.SIGNAL, Origin.ENDING, Origin.FIELD):
-            known = f"robot `{self.robot}` can use only its sensors and messages"
-            return Symbol(name, None, refusal=f"{known}; to send it `{name}`, write `receive: {{{name}: {name}}}`")
+            known = "its sensors" if self.context is Context.EMIT else "its sensors and the values that it receives"
+            return Symbol(name, None, refusal=f"robot `{self.robot}` knows only {known}; {self._instead(name)}")
         return self.namespace.symbol(name)
+
+    def _instead(self, name: str) -> str:
+        """Where to define a value that only the supervisor knows; a robot cannot send back what it receives."""
+        if self.context is Context.EMIT:
+            return "define the value under `augment` instead"
+        return f"to send `{name}` to the robot, write `receive: {{{name}: {name}}}`"
 
     def names(self) -> Iterable[str]:
         return [*self.own, *self.namespace.names_of(Origin.PARAMETER)]

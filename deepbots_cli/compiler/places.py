@@ -61,7 +61,7 @@ class PlacementChecker(NamespaceReader):
         elif arena is not None and any(
             region.low[axis] > arena.size[axis] / 2 - needed / 2 or region.high[axis] < needed / 2 - arena.size[axis] / 2 for axis in (0, 1)
         ):
-            headline = f"no position in the region is far enough from the walls of the arena for `{place.body}`"
+            headline = f"`{place.body}` fits nowhere in the region: the region is outside the arena, or too close to its walls"
             self._values.add("DB105", span, headline, "move the region into the arena, whose center is the origin")
         elif region.mesh and (cells := int(width / region.mesh + 1e-9) * int(depth / region.mesh + 1e-9)) < copies:
             headline = f"the grid has {cells} cells for {'one body' if copies == 1 else f'up to {copies} copies'}"
@@ -109,16 +109,17 @@ class PlacementChecker(NamespaceReader):
             turned = f" when turned by {degrees(turns):.3g} deg" if turns else ""
             covers = f"`{place.body}` ({_size(min(kinds, key=lambda kind: kind.area))}{edge})"
             ways = [
-                *(["less clearance"] if margin else []),
-                *(["another `yaw`"] if any(_fits(top, kind, None, margin) for kind in kinds) else []),
+                f"make `{spot.of}` larger",
+                *(["reduce `clearance`"] if margin else []),
+                *(["use another `yaw`"] if any(_fits(top, kind, None, margin) for kind in kinds) else []),
             ]
-            help = " or ".join(["use a larger body below", *ways])
+            help = ", or ".join(filter(None, (", ".join(ways[:-1]), ways[-1])))
             if min(kind.area for kind in kinds) > _MAX_AREA_RATIO * top.area:
                 help = f"check the unit of the size of `{place.body}`"
             self._values.add("DB105", span, f"{covers} does not fit on the top of `{spot.of}` ({_size(top)}){turned}", help)
         elif kinds and not _is_tilted(place) and copies * (area := min(kind.area for kind in kinds)) > top.area:
             headline = f"{copies} copies that need {area:.3g} m^2 each do not fit on the {top.area:.3g} m^2 of `{spot.of}`"
-            self._values.add("DB105", span, headline, "use a larger body below, or fewer copies")
+            self._values.add("DB105", span, headline, f"make `{spot.of}` larger, or place fewer copies")
         elif spot.region is not None and (patch := _patch(support, top)) is not None and _misses(spot.region, patch):
             reach_x, reach_y = patch.half_extents
             sides = f"x = {patch.x - reach_x:g} .. {patch.x + reach_x:g} m and y = {patch.y - reach_y:g} .. {patch.y + reach_y:g} m"
@@ -417,7 +418,8 @@ class Layouts(NamespaceReader):
         spec, layouts = self._spec.reset.layout, self._spec.reset.layouts
         shares = self._shares() if isinstance(spec, dict) else {spec: 1.0} if spec is not None else dict.fromkeys(list(layouts)[:1], 1.0)
         if spec is None and len(layouts) > 1:
-            help = f"write one layout, as in `layout: {next(iter(layouts))}`, or several with their probabilities"
+            one, other = list(layouts)[:2]
+            help = f"choose one with `layout: {one}`, or draw one with `layout: {{{one}: 50 %, {other}: 50 %}}`"
             self._values.add_at_key("DB102", ("reset", "layouts"), "missing key `layout`", help)
         for name in shares:
             if name not in layouts:

@@ -155,7 +155,7 @@ class Actions(NamespaceReader):
         if context is Context.RECEIVE:
             variable = next(iter(self._namespace.names_of(Origin.ACTION)), None)
             example = f", such as `{variable}`" if variable else ""
-            return Symbol(name, None, refusal=f"the robot receives the action itself: use the action variable{example}")
+            return Symbol(name, None, refusal=f"the robot already receives the current action: use the action variable{example}")
         parts = self.parts()
         if not parts:
             written = self._values.root.get("action")  # of which findings may have left nothing
@@ -565,8 +565,8 @@ class Decisions(NamespaceReader):
             return None
         otherwise = branches[always][0]
         for option, _ in branches[always + 1 :]:
-            headline = f"`{option}` is never chosen: the condition of `{otherwise}` before it is always true"
-            self._values.add_at_key("DB205", (*place, option), headline, f"remove it, or move it before `{otherwise}`")
+            headline = f"`{option}` is never chosen: `{otherwise}` comes first, and its condition is always true"
+            self._values.add_at_key("DB205", (*place, option), headline, f"remove `{option}`, or move it before `{otherwise}`")
         return ScriptedChoice(tuple(branches[:always]), otherwise)
 
     def _condition(self, place: NodePath, given: object) -> Expression | None:

@@ -15,7 +15,7 @@ from deepbots_cli.diagnostics import Findings, Fix, Label, Span
 from deepbots_cli.diagnostics.nearest import Replacement, nearest_word, suggest_replacement
 from deepbots_cli.document.nodes import MappingNode, Node, NodePath, ScalarNode, SequenceNode, descend, to_data
 from deepbots_cli.expressions import check, parser, syntax
-from deepbots_cli.expressions.dimensions import UNITS, Dimension
+from deepbots_cli.expressions.dimensions import TORQUE, UNITS, Dimension
 from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import (
     Components,
@@ -109,6 +109,10 @@ class SourceText(NamedTuple):
     def unit(self) -> str | None:
         """The probable unit of a number without a unit."""
         return self.kind.usual_unit if isinstance(self.kind, Quantity) else None
+
+    def noun(self, dimension: Dimension | None) -> str | None:
+        """The noun of a torque, which in an expression may be an energy; None of all else."""
+        return "a torque" if dimension == TORQUE and isinstance(self.kind, Quantity) and "torque" in self.kind.dimension else None
 
 
 class RangeEnds(NamedTuple):
@@ -320,7 +324,15 @@ class ValueReader:
         if typed is None:
             return None
         value = expect_value(
-            typed, self.report(text), what, dimension=dimension, components=components, known=known, unit=text.unit, shape_help=shape_help
+            typed,
+            self.report(text),
+            what,
+            dimension=dimension,
+            components=components,
+            known=known,
+            unit=text.unit,
+            noun=text.noun(dimension),
+            shape_help=shape_help,
         )
         return value if value and self._is_vector(value, text, what) and self._is_within(value, text, what) else None
 

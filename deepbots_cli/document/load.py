@@ -302,7 +302,7 @@ class _Reader:
                 _, key, found = descend(own, steps)
                 if found == len(steps) and key is not None and key.span.source is item.span.source:
                     headline = f"`{item.text}` is both defined here and listed under `remove`"
-                    help = "keep one of the two; a new value replaces the inherited one, so it needs no `remove`"
+                    help = "keep one of the two: a new value replaces the inherited one without `remove`"
                     self.findings.add("DB205", key.span, headline, help, labels=(Label(item.span, "removed here"),))
             else:
                 here = item.part(len(item.text) - len(rest), len(item.text))

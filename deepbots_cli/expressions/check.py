@@ -60,19 +60,25 @@ COMPARISONS = {"<": "less", "<=": "less_equal", ">": "greater", ">=": "greater_e
 _MAX_EXPONENT = 12
 # Roots that physics meets: halves, thirds and quarters. A float stands for one if it is the nearest.
 _MAX_DENOMINATOR = 4
-_KEEP_ABOVE_HELP = "keep it above a minimum with `max(x, ...)`"
+_STATIC_HELP = "use a number or a parameter; the state of the world and messages are known only during an episode"
 _FAMILY_HELP = {
     Family.DRAW: "draw it as a parameter, and use the parameter here",
     Family.STATEFUL: "define it under `signals`, and use the signal where signals are available",
-    Family.MESSAGE: "define it as a signal, or send it to the robot under `receive`; only the supervisor receives messages of robots",
-    Family.WORLD: "send the value to the robot under `receive`; a robot can use only its sensors and messages",
+    Family.MESSAGE: "define the value under `receive`, and use its name here; only the supervisor receives messages of robots",
+    Family.WORLD: "define the value under `receive`, and use its name here; a robot knows only its sensors and the values that it receives",
 }
+_STATIC_PLACES = (Context.FIXED, Context.PARAMETER, Context.FIELD, Context.OBSERVATION, Context.RESET)
 _CONTEXT_HELP = {
     **{(Context.FORBID, family): "compute it under `augment`, and use that name here" for family in Family},
-    (Context.FIXED, Family.DRAW): "write a number: it is the same in every episode",
+    **{(place, family): _STATIC_HELP for place in _STATIC_PLACES for family in (Family.WORLD, Family.MESSAGE)},
+    (Context.EMIT, Family.WORLD): "define the value under `augment`; a robot knows only its sensors",
+    (Context.EMIT, Family.MESSAGE): "define the value under `augment`; only the supervisor receives messages of robots",
+    (Context.FIXED, Family.DRAW): "write one number for all episodes",
     (Context.SCRIPT, Family.STATEFUL): "define it as a signal, and use the signal here",
     (Context.TEST, Family.STATEFUL): "define it as a signal, and use the signal here",
     (Context.TEST, Family.MESSAGE): "define it as a signal, and use the signal here",
+    (Context.GOAL, Family.MESSAGE): "define it as a signal, and use the signal here",
+    (Context.REQUIRE, Family.MESSAGE): "remove it: no message has arrived when the start is drawn",
 }
 # A common question about a part of the world that has no position.
 _FUNCTION_OF_KIND = {
@@ -448,7 +454,7 @@ class _Checker:
             powers = [(a, b) for a, b in columns if a.is_finite]
             low = min((a.low for a, b in powers if b.is_single and not b.low.is_integer()), default=0.0)
             if low < 0.0:
-                self._fault("DB406", node.left, f"a fractional power of a value that can be as low as {low:g}", _KEEP_ABOVE_HELP)
+                self._fault("DB406", node.left, f"a fractional power of a value that can be as low as {low:g}", _keep_above(0.0))
             if any(0.0 in a and b.high < 0.0 for a, b in powers):
                 self._fault("DB405", node.left, "a negative power of a value that can be zero", _no_zero(left))
 
@@ -585,7 +591,7 @@ class _Checker:
         interval = values[0].type.interval if values else TRUTH
         if interval.is_finite and interval.low < function.domain.low:
             headline = f"the argument of `{function.name}` can be as low as {interval.low:g}"
-            self._fault("DB406", values[0], headline, _KEEP_ABOVE_HELP)
+            self._fault("DB406", values[0], headline, _keep_above(function.domain.low))
         if function.family is Family.DRAW and function.params[0].form is Form.RANGE:
             low, high = values
             with suppress(StopChecking):
@@ -631,7 +637,12 @@ def _one_of(kinds: frozenset[Kind]) -> str:
     return named[0] if len(named) == 1 else f"{', '.join(named[:-1])} or {named[-1]}"
 
 
+def _keep_above(low: float) -> str:
+    """The help for a value that can be below a domain, which begins at 0 or just above it."""
+    return "keep it above 0 with `max(..., 0.001)`" if low > 0.0 else "keep it at or above 0 with `max(..., 0)`"
+
+
 def _no_zero(value: Typed) -> str:
     """The help for a value that can be zero: a bound in its unit."""
     dimension = value.type.dimension
-    return f"keep it away from zero, as in `max(x, {'0.01' if dimension == NUMBER else f'0.01 {dimension}'})`"
+    return f"keep it away from zero, as in `max(..., {'0.01' if dimension == NUMBER else f'0.01 {dimension}'})`"

@@ -145,7 +145,7 @@ class Function(NamedTuple):
         tree: Makes the scalar tree from the full names of the subjects; generated code calls the function of the same name in
             `runtime.formulas` with the poses of the subjects, which computes the same to the bit.
         reads_link_pose: The subject is read at the link that stands for it; a robot is read at its base link.
-        pieces_operator: The operation that joins the values for a wall of several pieces.
+        pieces_operator: The operation that joins the values for a wall with several segments.
 
     memory: The class of `runtime.formulas` that is the meaning of a stateful function: called with the arguments in every
         timestep, whether or not the value is used. An absent `start` is the first argument.
@@ -435,9 +435,10 @@ _ENTRIES = (
     Function("arc_length", _OF_WORLD, (_BODY, _LINE),
              "The distance that a body has traveled along a line since the reset; backward travel is subtracted.",
              "arc_length(rover, track)", _LENGTH, reads_link_pose=True),
-    Function("age", Family.MESSAGE, (_SENDER,), "The time since the measurement in the newest message that arrived.", "age(rover)",
+    Function("age", Family.MESSAGE, (_SENDER,),
+             "The age of the newest values that arrived from a robot or a sensor: the time since they were measured.", "age(rover)",
              _TIME, _known(iv.POSITIVE)),
-    Function("message_received", Family.MESSAGE, (_EMITTER,), "Whether a message of a robot arrived in this timestep.",
+    Function("message_received", Family.MESSAGE, (_EMITTER,), "Whether a message from the robot arrived in this timestep.",
              "message_received(rover)", _NUMBER, boolean=True),
     Function("delta", _STATEFUL, (_X, _START),
              "The change of x since the previous timestep; 0 at a reset. With start, the first change is measured from start.",
@@ -451,7 +452,8 @@ _ENTRIES = (
     Function("running_min", _STATEFUL, (_X,), "The smallest value of x since the reset.", "running_min(distance(rover, ball))",
              interval=_first, memory="RunningMin"),
     Function("hold", _STATEFUL, (_X, _CONDITION),
-             "The value of x at the last timestep in which the condition was true; before that, the value at the reset.",
+             "The value of x at the last timestep in which the condition was true; until it is true for the first time, the value of x at"
+             " the reset.",
              "hold(position(rover), contact(rover, ball))",
              interval=_first, accepts_truths=True, memory="Hold"),
     # Backward Euler: stable for every time constant, and the complementary filter's own formula.

@@ -114,18 +114,26 @@ def dimension_of(values: Sequence[Typed], place: Place, report: FindingReporter)
     return first.type.dimension
 
 
-def require_dimension(value: Typed, dimension: Dimension, what: str, report: FindingReporter, unit: str | None = None) -> None:
+def require_dimension(
+    value: Typed, dimension: Dimension, what: str, report: FindingReporter, unit: str | None = None, noun: str | None = None
+) -> None:
     """Require a dimension (a bare zero has any); DB502 or DB503 about `what` otherwise. `unit` is probably that of a bare number."""
     if is_bare_zero(value) or value.type.dimension == dimension:
         return
     if is_bare_number(value):
-        raise missing_unit(value, dimension, report, unit)
+        raise missing_unit(value, dimension, report, unit, noun)
     help, names = _plain_names(value)
-    headline = f"{what} must be {dimension.description}; this is {value.type.description}"
+    headline = f"{what} must be {_expected(dimension, noun)}; this is {value.type.description}"
     raise report_at(report, "DB503", value, headline, help or _remedy(value, dimension), names=names)
 
 
-def missing_unit(value: Typed | TypedRange, dimension: Dimension, report: FindingReporter, unit: str | None = None) -> StopChecking:
+def _expected(dimension: Dimension, noun: str | None) -> str:
+    return f"{noun} ({dimension})" if noun else dimension.description
+
+
+def missing_unit(
+    value: Typed | TypedRange, dimension: Dimension, report: FindingReporter, unit: str | None = None, noun: str | None = None
+) -> StopChecking:
     """DB502 for a bare number; it is probably in `unit` if it is at least 1, otherwise the dimension tells.
 
     Both numbers of a range or of a draw have the unit behind the second.
@@ -146,7 +154,7 @@ def missing_unit(value: Typed | TypedRange, dimension: Dimension, report: Findin
         if len(units) == 1:
             replacement = Replacement(f"{written} {units[0]}", safe=units[0] == str(dimension))
     place = value._replace(start=ends[0].start, end=ends[-1].end)
-    return report_at(report, "DB502", place, f"expected {dimension.description}, found a number without a unit", help, replacement)
+    return report_at(report, "DB502", place, f"expected {_expected(dimension, noun)}, found a number without a unit", help, replacement)
 
 
 def _number_text(number: float) -> str:
@@ -199,7 +207,9 @@ def components_of(values: Sequence[Typed], place: Place, report: FindingReporter
 
 
 def _differing(first: Components, second: Components, place: Place, report: FindingReporter) -> StopChecking:
-    help = "components are matched by name; select the ones that match, as in `v.x`"
+    both = [name for name in first if name in second]
+    example = "".join(both) if both and all(len(name) == 1 for name in both) else "x"
+    help = f"both sides need the same components; select them, as in `v.{example}`"
     if set(first) == set(second):
         help = "list the names of both groups in the same order"
     return report_at(report, "DB404", place, f"a vector of {shortened_list(first)} is combined with one of {shortened_list(second)}", help)
@@ -239,6 +249,7 @@ def expect_value(
     boolean: bool = False,
     known: Known = Known.STEP,
     unit: str | None = None,
+    noun: str | None = None,
     shape_help: str | None = None,
 ) -> Typed:
     """The value as a field takes it, or None after a finding.
@@ -250,16 +261,20 @@ def expect_value(
             `ANY_SHAPE` takes everything.
         known: When the value must be known at the latest.
         unit: The probable unit of a bare number.
+        noun: What the field calls the dimension.
         shape_help: What to write instead of a vector of x, y and z where the components have other names.
     """
     require_kind([value], report, boolean=boolean)
     if not boolean and dimension is not None and value.type.dimension != dimension:
-        require_dimension(value, dimension, what, report, unit)
+        require_dimension(value, dimension, what, report, unit, noun)
         value = value._replace(type=value.type._replace(dimension=dimension))
     _require_shape(value, components, what, report, shape_help)
     if value.type.known > known:
-        allowed = "a value that is fixed or drawn once per episode" if known is Known.EPISODE else "a fixed value"
-        raise report_at(report, "DB407", value, f"{what} is {value.type.known.description}", f"use {allowed}")
+        needed, other = ("fixed or drawn once per episode", "that does not change within an episode")
+        if known is Known.FIXED:
+            needed, other = ("fixed", "with a fixed value")
+        headline = f"{what} must be {needed}, but this value is {value.type.known.description}"
+        raise report_at(report, "DB407", value, headline, f"use a fixed value, or a parameter {other}")
     if value.type.interval.is_finite and not boolean:
         _require_size(value, known, what, report)
     return value
@@ -296,7 +311,7 @@ def _require_shape(value: Typed, components: Components | None, what: str, repor
     if components == ANY_SHAPE or found is None or found == components:
         return
     if components is None:
-        help = f"pick a component, or reduce it with {'`any` or `all`' if value.type.boolean else '`norm`, `sum`, `max` ...'}"
+        help = f"pick a component, or reduce the vector with {'`any` or `all`' if value.type.boolean else '`norm`, `sum`, `max` ...'}"
         raise report_at(report, "DB404", value, f"{what} must be a single value; this is {value.type.shape_description}", help)
     if help and found[0] == "x" and "x" not in components:
         headline = f"{what} has the components {shortened_list(components)}; this is {value.type.shape_description}"

@@ -549,8 +549,9 @@ def _check_reach(joint: Joint, mimic: Mimic, leader: Joint, element: Element) ->
     slack = _LIMIT_TOLERANCE * (high - low)
     if low < own.lower - slack or high > own.upper + slack:
         unit = "m" if joint.type == "prismatic" else "rad"
-        headline = f"joint {quoted(joint.name)} reaches its limit before {quoted(leader.name)} does, and blocks it"
-        element.warn(headline, help=f"widen its limits to {low:.6g} and {high:.6g} {unit}")
+        headline = f"joint {quoted(joint.name)} reaches its limit before {quoted(leader.name)} does, and then blocks {quoted(leader.name)}"
+        low, high = min(low, own.lower), max(high, own.upper)
+        element.warn(headline, help=f'set lower="{low:.6g}" upper="{high:.6g}" ({unit}) in the <limit> of {quoted(joint.name)}')
 
 
 def _root_link(joints: Mapping[str, Joint], links: Mapping[str, Element], elements: Mapping[str, Element]) -> str | None:

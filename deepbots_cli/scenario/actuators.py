@@ -151,7 +151,7 @@ class Cartesian(Actuator):
     link: LinkName
     """The link that is moved."""
     joints: JointNames
-    """The joints that move it."""
+    """The joints that move the link."""
     rpy: Annotated[Scalar, Quantity("angle", components=3)] | None = None
     """Orientation of the link in the world frame: roll, pitch, yaw. By default the orientation is free."""
     max_torque: MaxTorque | None = None

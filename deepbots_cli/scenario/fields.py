@@ -346,7 +346,8 @@ class Word(FieldType):
 
     @property
     def noun(self) -> str:
-        return f"one of {', '.join(f'`{word}`' for word in self.words)}"
+        words = ", ".join(f"`{word}`" for word in self.words)
+        return f"one of {words}" if len(self.words) > 1 else words
 
     def check(self, value: Any) -> None:
         if value not in self.known:
@@ -658,11 +659,11 @@ class Pattern(FieldType):
 
     @property
     def noun(self) -> str:
-        return f"a name or a pattern of {self.kind}s"
+        return f"a name or a pattern of {' or '.join(map(with_article, self.kind.split(' or ')))}"
 
     @property
     def plural(self) -> str:
-        return f"names or patterns of {self.kind}s"
+        return f"names or patterns of {self.kind.replace(' or ', 's or ')}s"
 
 
 @dataclass(frozen=True)
@@ -698,8 +699,9 @@ class Name(FieldType):
     def check(self, value: Any) -> None:
         if not re.fullmatch(NAME_PATTERN, value):
             suggestion = re.sub(r"[^a-z0-9_]+", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", value[:MAX_NAME_LENGTH]).lower()).strip("_")
-            likely = f", such as `{suggestion}`" if re.fullmatch(NAME_PATTERN, suggestion) else ""
-            help = f"use lower-case letters, digits and `_`, and do not begin with a digit{likely}"
+            help = "a name has only lower-case letters, digits and `_`, and does not begin with a digit"
+            if re.fullmatch(NAME_PATTERN, suggestion):
+                help = f"write `{suggestion}`: {help}"
             raise error("DB105", f"`{value[:40]}` cannot be a name", help)
         if len(value) > MAX_NAME_LENGTH:
             raise error("DB105", f"a name of {len(value)} characters", f"use at most {MAX_NAME_LENGTH}")
@@ -799,6 +801,7 @@ class Until(FieldType):
 
     noun = "a criterion over episodes, a criterion in evaluation, or a number of steps"
     example = "success_rate >= 0.7 over 40 episodes"
+    other_examples: tuple[str, ...] = ("success_rate >= 0.7 in evaluation", "50_000 steps")
 
     def has_form(self, value: object) -> bool:
         return read_until(value) is not None
@@ -815,7 +818,9 @@ class Until(FieldType):
     def help_for(self, value: object) -> str | None:
         if isinstance(value, str) and re.fullmatch(_MEAN, value.strip()):
             return f"write how many episodes: `{value.strip()} over 100 episodes`"
-        return super().help_for(value)
+        if isinstance(value, str) and self.has_form(near := value.strip().replace("evaluations", "evaluation")):
+            return f"write `{near}`"
+        return ", or ".join((f"write `{self.example}`", *map("`{}`".format, self.other_examples)))
 
     def json_schema(self) -> JsonSchema:
         return self._matching(r"^\s*((success_rate|mean_return)\s*>=.* (over .* episodes?|in\s+evaluation)|[0-9_]+\s+steps?)\s*$")
@@ -826,6 +831,7 @@ class Solved(Until):
 
     noun = "a criterion over episodes"
     example = "mean_return >= 195 over 100 episodes"
+    other_examples = ()
 
     def has_form(self, value: object) -> bool:
         found = read_until(value)

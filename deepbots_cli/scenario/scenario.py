@@ -91,7 +91,7 @@ class Robot(Section):
     """A robot from a robot file, with sensors, actuators, and a controller that exchanges messages with the supervisor."""
 
     urdf: Annotated[str, FilePath("robot file")]
-    """The robot file: a path relative to this file, the name of a shipped robot, or `package://name/path`."""
+    """The robot file: a path relative to the scenario file in which it is written, the name of a shipped robot, or `package://name/path`."""
     base: Literal["free", "fixed"] = "free"
     """Whether the root link moves or is fixed to the world."""
     pose: Pose = Field(default_factory=Pose)
@@ -109,9 +109,9 @@ class Robot(Section):
     poses: dict[LocalName, Annotated[dict[JointPattern, JointPosition], Size(1, "joint")]] = {}
     """Names for positions of the joints."""
     sensors: dict[LocalName, AnySensor] = {}
-    """Sensors, by names of your choice."""
+    """Sensors, each under a name that you choose."""
     actuators: dict[LocalName, AnyActuator] = {}
-    """Actuators, by names of your choice."""
+    """Actuators, each under a name that you choose."""
     receive: dict[LocalName, Annotated[Scalar, Expression("receive")]] | None = None
     """Further values that the supervisor sends with the action: names with expressions."""
     emit: Emitted | None = None
@@ -239,9 +239,9 @@ class Termination(Section):
     """Conditions that end the task: the episode is `terminated`."""
 
     success: dict[SharedName, Condition] = {}
-    """Conditions under which the agent has succeeded, by names of your choice."""
+    """Conditions under which the agent has succeeded, each under a name that you choose."""
     failure: dict[SharedName, Condition] = {}
-    """Conditions under which the agent has failed, by names of your choice. Failure has precedence over success."""
+    """Conditions under which the agent has failed, each under a name that you choose. Failure has precedence over success."""
 
 
 class Truncation(Section):
@@ -293,7 +293,7 @@ class Evaluation(Section):
     episodes: PositiveInt = 100
     """Number of episodes, for each case."""
     cases: dict[LocalName, Case] = {}
-    """Further conditions under which the policy is evaluated, by names of your choice."""
+    """Further conditions under which the policy is evaluated, each under a name that you choose."""
 
 
 # Tests
@@ -454,7 +454,7 @@ class Reset(Section):
     layout: Annotated[Mixture | LayoutName, FORMS] | None = None
     """The layout to use, or several layouts with their probabilities, such as `{scattered: 88 %, paper: 12 %}`."""
     layouts: dict[SharedName, Annotated[MapLayout | Places, FORMS]] = {}
-    """Layouts by names of your choice: a start pose for each body, or a map of letters."""
+    """Layouts, each under a name that you choose: a start pose for each body, or a map of letters."""
     require: Annotated[str, Expression("require", boolean=True)] | None = None
     """A condition that each start must meet. If it is false, deepbots draws the whole start again."""
     attempts: Annotated[int, WholeNumber(1, 100_000)] = 100
@@ -510,17 +510,17 @@ class Scenario(Section):
     summary: PlainText = ""
     """One sentence about the task."""
     parameters: dict[SharedName, Annotated[Scalar, Expression("parameter")]] = {}
-    """Values by names of your choice: constants, or draws such as `uniform(0 .. 1 m)` that are new in every episode."""
+    """Values, each under a name that you choose: constants, or draws such as `uniform(0 .. 1 m)` that are new in every episode."""
     world: World
     """The simulated world: timestep, physics engine, gravity, ground, arena."""
     objects: dict[SharedName, AnyObject] = {}
-    """Bodies other than robots, by names of your choice."""
+    """Bodies other than robots, each under a name that you choose."""
     robots: Annotated[dict[SharedName, Robot], Size(1, "robot")]
-    """The robots, by names of your choice."""
+    """The robots, each under a name that you choose."""
     messages: Messages = Field(default_factory=Messages)
     """Messages between supervisor and robots."""
     action: Annotated[dict[SharedName, Action], Size(1, "action")]
-    """Actions of the agent, by names of your choice: a range, or choices."""
+    """Actions of the agent, each under a name that you choose: a range, or choices."""
     agent: Agent = Field(default_factory=Agent)
     """How the policy acts: action repeat, frame stack, one policy for all copies."""
     augment: Augmentation = {}
@@ -530,9 +530,10 @@ class Scenario(Section):
     goal: Goal | None = None
     """The goal of an episode: a value to reach."""
     observation: Annotated[Observation, Size(1, "entry")]
-    """Entries of the observation, in this order: the name of a value, and the range that deepbots maps to [-1, 1]."""
+    """Entries of the observation: for each, the name of a value and the range that deepbots maps to [-1, 1]. The policy gets them in
+    the order of the file."""
     reward: Annotated[Reward, Size(1, "term")]
-    """Terms of the reward, by names of your choice. Each term is a plain number; the reward is their sum."""
+    """Terms of the reward, each under a name that you choose. Each term is a plain number; the reward is their sum."""
     termination: Termination = Field(default_factory=Termination)
     """Endings of the task: success and failure."""
     truncation: Truncation | None = None
@@ -540,9 +541,9 @@ class Scenario(Section):
     reset: Reset = Field(default_factory=Reset)
     """How an episode begins."""
     disturbances: dict[SharedName, Disturbance] = {}
-    """Pushes and gusts, by names of your choice."""
+    """Pushes and gusts, each under a name that you choose."""
     scripts: dict[LocalName, Script] = {}
-    """Hand-written policies by names of your choice: an expression for every part of the action."""
+    """Hand-written policies, each under a name that you choose: an expression for every part of the action."""
     curriculum: Annotated[Many[Stage], Size(1, "stage")] = ()
     """Stages of increasing difficulty."""
     evaluation: Evaluation = Field(default_factory=Evaluation)
@@ -552,7 +553,7 @@ class Scenario(Section):
     train: AnyTraining | None = None
     """How the policy is trained."""
     tests: dict[LocalName, ScenarioTest] = {}
-    """Tests by names of your choice, which `deepbots test` runs: who acts, and the expected result."""
+    """Tests for `deepbots test`, each under a name that you choose: who acts, and the expected result."""
 
     _pruned: frozenset[NodePath] = PrivateAttr(frozenset())
 

@@ -81,7 +81,7 @@ class Sensor(Section):
     noise: Annotated[Scalar, Quantity("reading", known="episode", minimum=0, relative=True)] = 0
     """Standard deviation of the noise on each reading: in the unit of the sensor, or as `2 %` of the value."""
     bias: Annotated[Scalar, Quantity("reading", known="episode", relative=True)] = 0
-    """Constant offset of all readings of an episode: in the unit of the sensor, or `2 %` for a fraction of the value."""
+    """Constant offset of all readings of an episode: in the unit of the sensor, or as `2 %` of the value."""
     drift: Annotated[Scalar, Quantity("any", known="episode")] = 0
     """Growth of the bias per second."""
     resolution: Annotated[Scalar, Quantity("reading", minimum=0)] = 0
@@ -294,8 +294,8 @@ class RayScan(LinkSensor):
     """Measures along rays: rays with names, or a fan of equally spaced rays."""
 
     rays: Annotated[NamedRays | Annotated[int, WholeNumber(1, 4096)], FORMS] | None = None
-    """Rays by name, each with its pose on the sensor, or the number of rays in the fan `angle_range`, named `r0`, `r1`, ...; by default one
-    ray."""
+    """Rays by name, each with its pose on the sensor; or the number of rays, spread evenly over `angle_range` and named `r0`, `r1`, ...
+    By default there is one ray."""
     angle_range: Annotated[str, Range("angle")] | None = None
     """Yaw of the first and of the last ray of the fan, such as `90 .. -90 deg`."""
 

@@ -109,7 +109,7 @@ class _OnPolicy(Training):
     n_steps: PositiveInt | None = None
     """Steps of each environment between two updates."""
     gamma: Fraction | None = None
-    """Discount factor of later rewards per step, 0 to 1."""
+    """Discount factor, 0 to 1: a reward that comes n steps later has the weight gamma^n."""
     gae_lambda: Fraction | None = None
     """Lambda of generalized advantage estimation (GAE), 0 to 1: a trade-off between bias and variance."""
     normalize_advantage: Bool | None = None
@@ -156,7 +156,7 @@ class _OffPolicy(Training):
     tau: Fraction | None = None
     """Coefficient of the soft update of the target network, 0 to 1; 1 copies the network."""
     gamma: Fraction | None = None
-    """Discount factor of later rewards per step, 0 to 1."""
+    """Discount factor, 0 to 1: a reward that comes n steps later has the weight gamma^n."""
     train_freq: Annotated[str | int, StepsOrEpisodes] | None = None
     """Steps between two updates, or `1 episode`."""
     gradient_steps: StepsOrAll | None = None
@@ -184,7 +184,7 @@ class _SoftActorCritic(_StateDependentExploration, _Deterministic):
     target_update_interval: PositiveInt | None = None
     """Steps between two updates of the target network."""
     target_entropy: Annotated[Scalar, Number(pattern="auto")] | None = None
-    """The entropy to which `ent_coef: auto` adjusts the policy; `auto` is minus the number of action components."""
+    """The entropy that `ent_coef: auto` aims at. `target_entropy: auto` is minus the number of action components."""
     stats_window_size: PositiveInt | None = None
     """Number of episodes over which Stable-Baselines3 averages its episode statistics."""
 

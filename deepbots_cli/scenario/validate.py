@@ -224,8 +224,17 @@ def _typing_hint(node: Node, data: object, path: NodePath) -> tuple[str, Replace
         case ScalarNode(style="plain", text=text) if text.endswith(",") and (bare := text.rstrip(", ")):
             return f"remove the comma at the end of the line: `{bare[:60]}`", Replacement(bare, safe=True)
         case nodes.SequenceNode(items=items) if items and all(isinstance(item, nodes.MappingNode) for item in items):
-            return "; ".join(filter(None, ("remove the dashes to write keys", about_key(data, path)))), None
+            return ". ".join(filter(None, (_without_dashes(items[0]), about_key(data, path)))), None
     return None
+
+
+def _without_dashes(item: Node) -> str:
+    """What to write instead of a list of mappings, of which `item` is the first."""
+    first = next(iter(item.entries.values()), None) if isinstance(item, nodes.MappingNode) else None
+    if first is None or not isinstance(first.value, ScalarNode):
+        return "remove the dashes before the keys"
+    entry = f"{_shortened(first.key.text)}: {_shortened(first.value.text)}"
+    return f"remove the dashes: write `{entry}`, not `- {entry}`"
 
 
 def _is_follow_up(root: nodes.MappingNode, problem: _Problem) -> bool:
@@ -391,7 +400,7 @@ def _help_for_unknown(data: object, path: NodePath) -> str | None:
     kinds = shape_at(Scenario, data, parent, choose=False)
     others = [name for name, model in kinds.models.items() if key in model.model_fields] if isinstance(kinds, Kinds) else []
     if others:
-        return f"only {_listed(others)} use this key; {here}"
+        return f"remove it: only {_listed(others)} {'uses' if len(others) == 1 else 'use'} this key; {here}"
     near = nearest_word(key, known)
     belongs = _nearest_home(parent, key)
     if belongs is not None and (near is None or near.replace("_", "") != key.lower().replace("_", "")):

@@ -167,11 +167,11 @@ class World(Section):
     arena: Arena | None = None
     """A rectangle of walls around the origin."""
     walls: dict[SharedName, Wall] = {}
-    """Further walls, by names of your choice."""
+    """Further walls, each under a name that you choose."""
     terrain: Annotated[Terrain, Kinds("type", TERRAINS)] | None = None
     """Ground that is not flat."""
     lines: dict[SharedName, Line] = {}
-    """Lines painted on the ground, by names of your choice."""
+    """Lines painted on the ground, each under a name that you choose."""
     light: RandomizableFactor = 1.0
     """Brightness of the light in images; 1 is normal."""
 
@@ -343,7 +343,7 @@ class VariedObject(PlacedBody, Material):
     """Copies of different shapes, which are drawn from variants."""
 
     one_of: Annotated[dict[LocalName, Annotated[ShapedBody, Kinds("shape", SHAPES)]], Size(1, "variant")]
-    """Variants by names of your choice; deepbots draws one of them for each copy."""
+    """Variants, each under a name that you choose; deepbots draws one of them for each copy."""
 
 
 OBJECTS: dict[str, type[PlacedBody]] = {
@@ -353,5 +353,5 @@ OBJECTS: dict[str, type[PlacedBody]] = {
     "capsule": CapsuleObject,
     "mesh": MeshObject,
 }
-_ARTICULATED = "move it to `robots`: every body with a robot file is a robot, even without sensors and actuators"
+_ARTICULATED = "move this body to `robots`: every body with a robot file is a robot, even without sensors and actuators"
 AnyObject = Annotated[PlacedBody, Kinds("shape", OBJECTS, models_by_marker={"one_of": VariedObject}, remedies={"urdf": _ARTICULATED})]

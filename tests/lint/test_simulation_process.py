@@ -67,7 +67,7 @@ def test_a_crash_of_the_engine_is_a_finding_that_names_the_step(checked) -> None
     found = only(simulate(checked("crash"), limits=TIGHT))
     assert (found.code, found.span.text) == ("DB309", "cart")
     assert found.headline == "the physics engine crashes (SIGSEGV)"
-    assert "in step 1 (0.032 s) of the episode with seed 0, random actions" in found.notes
+    assert "in step 1 (0.032 s) of the episode with seed 0 (random actions)" in found.notes
 
 
 def test_a_step_that_does_not_come_back_is_a_finding(checked) -> None:

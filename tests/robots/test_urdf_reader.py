@@ -393,8 +393,8 @@ def test_a_fixed_joint_follows_nothing(read_text):
 def test_a_follower_whose_limits_stop_its_leader_is_a_warning(read_text):
     assert read_text(follower('<mimic joint="elbow" multiplier="-0.1"/>', 'lower="-0.2" upper="0.1"'))[1] == []
     finding = warning(read_text, follower('<mimic joint="elbow"/>', 'lower="-0.1" upper="0.1"'))
-    assert finding.headline == "joint 'j' reaches its limit before 'elbow' does, and blocks it"
-    assert finding.help == "widen its limits to -1 and 2 m"
+    assert finding.headline == "joint 'j' reaches its limit before 'elbow' does, and then blocks 'elbow'"
+    assert finding.help == 'set lower="-1" upper="2" (m) in the <limit> of \'j\''
 
 
 def test_an_unexpanded_default_of_xacro_is_read_with_a_warning(read_text):

@@ -86,7 +86,7 @@ FAULTS = [
     ("PPO,", "PPO, gamma: 1.5,", "DB105", "1.5", "`1.5` is above the largest allowed value", "write at most 1"),
     ("  track:", "  m: 1\n  track:", "DB202", "m", "the name `m` is reserved: it is a unit", "another"),
     ("  track:", "  step: 1\n  track:", "DB202", "step", "the name `step` is reserved: it is built in", "another"),
-    ("  track:", "  topSpeed: 1\n  track:", "DB105", "topSpeed", "`topSpeed` cannot be a name", "such as `top_speed`"),
+    ("  track:", "  topSpeed: 1\n  track:", "DB105", "topSpeed", "`topSpeed` cannot be a name", "write `top_speed`: a name has only"),
     ("name: CartPole", "name: Cart/Pole", "DB105", "Cart/Pole", "`Cart/Pole` cannot be the name of a scenario", "letters"),
     ("deepbots: 1", "deepbots: 0", "DB105", "0", "`0` is below the smallest allowed value", None),
     (

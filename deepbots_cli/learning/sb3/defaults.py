@@ -60,7 +60,8 @@ _PPO = {
     "n_steps": Default(lambda training, *_: _roll_out(training), "256 / `environments`, rounded down to a multiple of 32, at least 32"),
     "batch_size": Default(
         lambda training, *_: _batch(training),
-        "64, or 32 if a default rollout of all environments is not a multiple of 64; from 16 `environments` on, an eighth of it",
+        "with up to 15 `environments`: 64, or 32 if the default `n_steps` times `environments` is not a multiple of 64; with 16 or more:"
+        " an eighth of this product",
     ),
     "gae_lambda": Default(lambda *_: 0.9, "0.9"),
     # Narrow layers bear, and need, larger steps; 64x64 learns as fast at a third of the rate and is steadier there.
@@ -73,8 +74,8 @@ _OFF_POLICY = {
     # Hindsight takes goals from episodes that have ended, so learning waits for the first.
     "learning_starts": Default(
         lambda training, total, longest: max(1_000, longest * training.environments) if training.replay else min(1_000, total // 10),
-        "the smaller of 1_000 and a tenth of `total_timesteps`; with `replay: her`, the steps of the longest episode in all"
-        " environments, at least 1_000",
+        "the smaller of 1_000 and a tenth of `total_timesteps`; with `replay: her`, `environments` times the steps of the"
+        " longest episode, at least 1_000",
     ),
     "replay": Default(lambda *_: _UNIFORM, "uniform"),
 }
