@@ -364,7 +364,7 @@ def test_a_difference_takes_no_format_since_it_holds_no_findings(deepbots, scena
     for option in (["--json"], ["--format", "sarif"]):
         ran = deepbots("lint", "a.yaml", "--diff", *option)
         assert (ran.code, ran.out) == (2, "")
-        assert "--diff shows changes instead of findings" in ran.err
+        assert "--diff cannot be combined with --format or --json" in ran.err
 
 
 def test_a_file_whose_name_is_as_long_as_names_can_be_is_fixed(deepbots, scenario, tmp_path):

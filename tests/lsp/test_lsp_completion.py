@@ -169,10 +169,10 @@ def test_an_included_piece_is_completed_as_the_part_of_the_scenario_that_it_is(c
 
 
 def test_a_comment_that_suppresses_is_completed_with_the_warnings(typing):
-    found = typing("# a decision every 256 ms", "# deepbots: ignore[DB2¦]")
+    found = typing("# one action every 256 ms", "# deepbots: ignore[DB2¦]")
     assert "DB205" in found
     assert "DB402" not in found
-    assert typing("# a decision every 256 ms", "# a deci¦") == []
+    assert typing("# one action every 256 ms", "# one ac¦") == []
 
 
 @pytest.mark.parametrize(

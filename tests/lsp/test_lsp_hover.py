@@ -57,11 +57,11 @@ def test_functions_tell_their_signature_and_meaning(client, pit, around):
 
 def test_a_code_in_a_comment_tells_its_page(client, pit):
     text = client.texts[pit]
-    client.change(pit, text.replace("# a decision every 256 ms", "# deepbots: ignore[DB205] a decision every 256 ms"))
+    client.change(pit, text.replace("# one action every 256 ms", "# deepbots: ignore[DB205] one action every 256 ms"))
     assert "unused-definition" in client.hover(pit, "ignore[DB2¦05]")
 
 
-@pytest.mark.parametrize("around", ["# a deci¦sion every 256 ms", "  # ou¦t: the sooner", "signals:¦\n  reach", "# that is¦ \n"])
+@pytest.mark.parametrize("around", ["# one ac¦tion every 256 ms", "  # ou¦t: the sooner", "signals:¦\n  reach", "# that is¦ \n"])
 def test_nothing_is_made_up_about_comments_and_what_is_empty(client, pit, around):
     if "that is" in around:
         client.change(pit, client.texts[pit] + "# that is \n")

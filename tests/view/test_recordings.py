@@ -266,7 +266,7 @@ def test_a_pipe_is_no_recording(tmp_path):
 
 def test_a_file_that_is_a_folder_too_is_told_in_a_sentence(find_ball, tmp_path):
     path = _changed(find_ball[0], tmp_path / "changed.mcap", attachments={"inputs/scenarios/find_ball.yaml": "inputs"})
-    with pytest.raises(RecordingError, match="a file and a folder of one name"):
+    with pytest.raises(RecordingError, match="a file and a folder of the same name"):
         Recording.read(path)
 
 
