@@ -32,7 +32,7 @@ def odd(name: str) -> Compiled:
     return api.compile(check(loads(f"deepbots: 1\nextends: cartpole.yaml\nname: Odd\n{ODD[name]}\n", base=Path("scenarios").absolute())))
 
 
-@pytest.mark.parametrize(("name", "field"), [("reward", "term_odd"), ("observation", "growth")])
+@pytest.mark.parametrize(("name", "field"), [("reward", "`odd = "), ("observation", "growth")])
 @pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
 def test_a_scenario_without_a_value_is_told_with_its_place_and_repeated_from_a_file(
     tmp_path: Path, name: str, field: str, engine: str
