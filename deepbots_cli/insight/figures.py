@@ -95,7 +95,7 @@ def shares(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     colors = [styles[term]["color"] for term in terms]
     panel.stackplot(at, sizes / np.maximum(sizes.sum(axis=0), 1e-12), labels=terms, colors=colors, alpha=0.85, linewidth=0)
     panel.set_ylim(0, 1)
-    return _with_legend(figure, style_panel(panel, "share of each reward term", theme, stages=[logs]))
+    return _with_legend(figure, style_panel(panel, "fraction of each reward term", theme, stages=[logs]))
 
 
 def endings(logs: Sequence[TrainingLog], theme: str) -> Figure | None:

@@ -38,7 +38,7 @@ def command(
     """Compare trained policies on the same start states.
 
     A folder of `deepbots train --seeds` is a group. Single runs of one scenario, trained in the same engine, form a group too. If this
-    puts all given runs into one group, each run counts as a group of its own instead.
+    puts all given runs into one group, each run becomes a group of its own instead.
 
     Every run is evaluated in the scenario of the first run, on the same held-out starts, and every group is compared with the first
     group. For each group, the table shows how much its mean return differs from that of the first group, with a 95 % confidence interval

@@ -74,7 +74,7 @@ def lint(
         option(
             "--ignore CODES",
             "Do not report these findings. If --select also matches a finding, the longer word decides: `--select DB603 --ignore DB6`"
-            " reports DB603. If both are equally long, it is ignored. A name counts as its code.",
+            " reports DB603. If both are equally long, it is ignored. A name has the length of its code.",
             _RULES,
         ),
     ] = None,
