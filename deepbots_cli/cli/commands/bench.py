@@ -46,7 +46,11 @@ def command(
         integer("--pairs N", "Number of pairs of measurements, one with and one without the environment; 5 by default.", group=ADVANCED),
     ] = None,
     quick: Annotated[
-        bool, option("--quick", "Measure 3 pairs of 600 steps. With several engines or `batch`, measure each once instead of three times.")
+        bool,
+        option(
+            "--quick",
+            "Measure only 3 pairs (see --pairs) of 600 steps. With several engines or `batch`, measure each once instead of three times.",
+        ),
     ] = False,
     seed: Seed = 0,
     engine: Annotated[
@@ -61,16 +65,16 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Measure how fast steps are, and how much of it is physics.
+    """Measure how long a step takes, and how much of this time is physics.
 
-    The command runs the same episodes twice in the same engine: with full environment steps, and with the physics alone. The ratio is
+    The command runs the same episodes twice in the same engine: with full environment steps, and with the physics alone. It prints a ratio:
     the time of an environment step divided by the time of its physics. The difference is the cost of messages, observation, reward and
     endings. Resets are not timed. If another engine steps this world at least 1.5 times as fast, a line names it.
 
     With several engines, or with `batch`, resets are timed too, actions are random, and a table says where the time goes.
 
     By default, the measurement takes at most 20 s. With several engines, each is measured at least once, even if that takes more than
-    20 s. --steps and --pairs lift this limit: more of them take longer, and the ratio then differs less from one measurement to the next.
+    20 s. With --steps or --pairs, this limit does not apply. Larger numbers take longer, and the ratio varies less between measurements.
 
     \b
       deepbots bench cartpole

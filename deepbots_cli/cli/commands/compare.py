@@ -37,14 +37,14 @@ def command(
 ) -> None:
     """Compare trained policies on the same start states.
 
-    A folder of `deepbots train --seeds` is a group. Single runs of one scenario, trained in the same engine, form a group too. If this
-    puts all given runs into one group, each run becomes a group of its own instead.
+    A folder of `deepbots train --seeds` is a group. Single runs of one scenario, trained in the same engine, form a group too. If all
+    given runs would then be in one group, every run is a group of its own, and the runs are compared with each other.
 
     Every run is evaluated in the scenario of the first run, on the same held-out starts, and every group is compared with the first
     group. For each group, the table shows how much its mean return differs from that of the first group, with a 95 % confidence interval
-    (Welch's, over the seeds). It also shows the probability that a run of the group has a higher mean return than a run of the first. Two
-    groups of one run each are compared episode by episode: the table then shows the share of the episodes with a higher return than in
-    the first run.
+    (Welch's, over the seeds). It also shows the probability that a run of the group has a higher mean return than a run of the first group.
+    Two groups of one run each are compared episode by episode: the table then shows the share of the episodes with a higher return than
+    in the first run.
 
     \b
       deepbots compare runs/cartpole-0-1 runs/cartpole-1-1

@@ -37,7 +37,8 @@ def command(
         str,
         typer.Argument(
             metavar="RUN|GROUP|RECORDING|FAILURE",
-            help="A run directory, the folder of a group, a recording (.mcap), or a file in `failures` of a run.",
+            help="A run directory, the folder of a group, a recording (.mcap), or the file of an episode that raised an error, in"
+            " `failures` of a run.",
         ),
     ],
     episode: Annotated[
@@ -60,14 +61,14 @@ def command(
     """Explain why a training does not learn, or why an episode ended.
 
     For a run, deepbots reads the logs of the training, and runs a few short episodes with its policy, with random actions and with
-    constant ones. It prints the causes that apply, the most likely first, each with its numbers and what to try. It normally
-    finds no cause if the task is solved already in the episodes of the training, in which the policy explores. For a group, every seed
-    has its own causes.
+    constant ones. It prints the causes that apply, the most likely first, each with its numbers and what to try. If the
+    policy solves the task in the training episodes, although it explores in them, deepbots normally finds no cause. For a group, every
+    seed has its own causes.
 
     With --episode, deepbots runs this episode again, from its seed or with its recorded actions. It prints which ending came, and when.
-    If the ending compares a value with a limit, it prints the margin: how far the value is past the limit. It also prints the part of
-    each reward term in the return, the largest drop of the critic's value, and the observations and actions that reached an end of their
-    range. For a recording or a failure, it explains the first episode by default.
+    If the ending compares a value with a limit, it prints the margin: how far the value is past the limit. It also prints how
+    much each reward term adds to the return, the largest drop of the critic's value, and the observations and actions that reached an end
+    of their range. For a recording, it explains the first episode by default.
 
     \b
       deepbots diagnose runs/mine-0-1

@@ -69,7 +69,7 @@ def command(
     """Run a few episodes without training, and show the reward.
 
     The tables show the returns, the reward terms and the endings of a scenario, before you train anything. By default the actions are
-    random. Compare them with a script of the scenario.
+    random. Compare them with a script of the scenario: a policy written by hand, under `scripts`.
 
     \b
       deepbots try cartpole
@@ -82,8 +82,7 @@ def command(
     Commas separate actions, and colons separate the numbers of one action: --driver 0.5:0.5,0.5:-0.5
 
     For the same seed, episode K of `try` starts differently than in `test`, `eval`, `view` and `render`, which use held-out starts.
-    So `view` does not show the episode that you tried. `deepbots view SCENARIO --driver NAME --seed N --episode K` shows held-out episode
-    K.
+    `deepbots view SCENARIO --driver NAME --seed N --episode K` shows held-out episode K, which is not the episode that you tried.
 
     If an episode raises an error, training and evaluation save this episode in the run directory. To repeat it, give its file:
 

@@ -74,7 +74,8 @@ def command(
         ),
     ] = None,
     baselines: Annotated[
-        bool, option("--baselines", "Evaluate random actions, zero actions and the scripts of the scenario on the same starts.")
+        bool,
+        option("--baselines", "Evaluate random actions, zero actions and the policies under `scripts` of the scenario on the same starts."),
     ] = False,
     details: Annotated[
         bool,
@@ -126,7 +127,7 @@ def command(
     """Evaluate the policy of a run on held-out episodes.
 
     The episodes begin with starts that the training does not use. The cases in `evaluation.cases` are evaluated too, with the same starts.
-    --require-solved, --min-success and --min-return check the result in the scenario itself. With --case or --stage, they check the result
+    --require-solved, --min-success and --min-return check the result without the cases. With --case or --stage, they check the result
     in that case or stage. For a group, every seed is evaluated on the same starts, and the requirements apply to the means over the seeds.
 
     With --min-success or --min-return, the evaluation of a run stops early once the answer is clear. That is the case when the remaining
@@ -134,16 +135,16 @@ def command(
     evaluation of a group stops early only for --min-success, and only if the remaining episodes of all seeds cannot change the answer.
     With --require-solved, or with several engines, all episodes run.
 
-    --set overrides values of the scenario of the run, or of the scenario that --scenario names. This scenario must have the
-    observation, action and messages of the training; its world may differ. --engine runs the episodes in another engine. With several
-    engines, such as --engine mujoco,pybullet, every engine runs episodes from the same starts. A second table shows how much the
-    result in each other engine differs from that in the first, with a 95 % interval. The interval compares the episodes with the same
-    start, or for a group, the seeds. The requirements then apply to every engine.
+    --set overrides values of the scenario of the run, or of the scenario that --scenario names. This scenario must have the observation,
+    action and messages of the training; its world may differ. --engine runs the episodes in another engine. With several engines, such as
+    --engine mujoco,pybullet, every engine runs episodes from the same starts. A second table shows how much the result in each other engine
+    differs from that in the first, with a 95 % interval. The interval is computed from one difference for each start, or for a group, from
+    one difference for each seed. With several engines, the requirements apply to each of them.
 
-    With `--episodes failed`, the command repeats the failed episodes of the last evaluation of the run, and counts how they end. This is
-    the last evaluation without --set, --scenario, --case, --stage or another engine. For the first 10 episodes, the command prints the
-    ending and its margin. If an ending compares a value with a limit, the margin is how far the value is past the limit. After a time
-    limit, it prints how near the episode came to a success.
+    With `--episodes failed`, the command repeats the failed episodes of the last evaluation of the run, and counts how they end.
+    Evaluations with --set, --scenario, --case, --stage or another engine do not count as the last one. For the first 10 episodes, the
+    command prints the ending and its margin. If an ending compares a value with a limit, the margin is how far the value is past the limit.
+    After a time limit, it prints how near the episode came to a success.
 
     \b
       deepbots eval runs/cartpole-0-1

@@ -38,9 +38,10 @@ def command(
 ) -> None:
     """Export the policy of a run as ONNX.
 
-    The bundle is a folder that runs with onnxruntime alone. policy.onnx takes an observation as the environment gives it, scaled
-    to -1 .. 1, and returns an action as the environment takes it. policy_si.onnx takes the observation, and returns the command, in SI
-    units. card.json and README.md hold names, units, ranges, the control rate, the result with its interval, and versions.
+    The bundle is a folder that runs with onnxruntime alone. policy.onnx takes an observation in the form that the environment gives, with
+    numbers scaled to -1 .. 1, and returns an action in the form that the environment takes. policy_si.onnx takes the observation, and
+    returns the command, in SI units. card.json and README.md hold names, units, ranges, the control rate, the result with its interval, and
+    versions.
 
     --check compares the observation, action and messages of the bundle with those of a scenario. The exit code is 0 if the policy fits,
     and 1 if it does not.

@@ -73,8 +73,8 @@ def lint(
         Codes,
         option(
             "--ignore CODES",
-            "Do not report these findings. If --select also matches a finding, the longer word decides: `--select DB603 --ignore DB6`"
-            " reports DB603. If both are equally long, it is ignored. A name has the length of its code.",
+            "Do not report these findings. If --select also matches a finding, the longer code decides: `--select DB603 --ignore DB6`"
+            " reports DB603. If both are equally long, the finding is ignored. A name, such as term-dominates, counts as its code, DB702.",
             _RULES,
         ),
     ] = None,

@@ -21,10 +21,9 @@ def command(
 ) -> None:
     """Plot the learning curves of runs.
 
-    The panels show returns, success rates, reward terms and endings.
-    Runs of one scenario with different seeds are drawn as one line, the mean over the seeds. A band shows the range from the lowest to the
-    highest seed. Each further scenario has its own line. Dots are the evaluations during the training. Dashed lines mark where the stages
-    of a curriculum begin.
+    The panels show returns, success rates, reward terms and endings. Runs of one scenario with different seeds are drawn as one line, the
+    mean over the seeds. A band reaches from the lowest value of all seeds to the highest. Each further scenario has its own line. Dots are
+    the evaluations during the training. Dashed lines mark where the stages of a curriculum begin.
 
     \b
       deepbots plot runs/cartpole-0-1

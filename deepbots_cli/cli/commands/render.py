@@ -109,8 +109,9 @@ def command(
         Any,
         option(
             "--episodes N|failed",
-            "Make N episodes, from --episode on; `failed`: the failed episodes of the last evaluation of a run. A .mcap holds all of them."
-            " Videos and pages are one file each, FILE-K.mp4 for episode K; of failed episodes, only the first 10.",
+            "Make N episodes, from --episode on; `failed`: the failed episodes of the last evaluation of a run. A .mcap contains all"
+            " of them. Videos and pages are one file per episode, FILE-K.mp4 for episode K; with `failed`, for the first 10 failed episodes"
+            " only.",
             EPISODES,
             parser=partial(episodes_or_failed, maximum=MAX_EPISODES),
         ),

@@ -31,8 +31,8 @@ def command(
     the scenario, the findings of lint and the versions. It loads nothing from elsewhere, needs no scripts, and can be sent and archived
     as it is. It follows the light or dark setting of the browser.
 
-    The results come from an evaluation of the best model; if there are several, from the one with the most episodes. `deepbots eval RUN
-    --episodes N` adds an evaluation. Clips need an engine that can draw; --no-clips leaves them out.
+    The results come from an evaluation of the best model; if there are several evaluations, from the one with the most episodes.
+    `deepbots eval RUN --episodes N` adds an evaluation. Clips need an engine that can draw; --no-clips leaves them out.
 
     \b
       deepbots report runs/cartpole-0-1

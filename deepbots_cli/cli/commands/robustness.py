@@ -51,9 +51,9 @@ def command(
 ) -> None:
     """Evaluate a policy with sensor noise, delays and weaker motors.
 
-    deepbots changes one condition at a time by several amounts: latency, message loss, noise, mass, friction and the strength of the
-    motors. All evaluations begin with the same held-out starts. The table shows the level of each condition at which the result falls
-    below the required one.
+    deepbots changes one condition at a time, by several amounts. The conditions are latency, message loss, noise, mass, friction and the
+    strength of the motors. All evaluations begin with the same held-out starts. The table shows the level of each condition at which the
+    result falls below the required one.
 
     --min-success or --min-return gives the required result. By default it is `solved` of the scenario. If the scenario has no
     `solved`, it is 80 % of the result under unchanged conditions.

@@ -43,9 +43,9 @@ def command(
     The list is read from the files of the runs, also while they train. A group is one row, with the means over its seeds;
     `deepbots runs GROUP` lists its runs, and `deepbots runs RUN` the evaluations that a run keeps.
 
-    The return and the success rate come from an evaluation of the best model on held-out episodes; if there are several, from the one
-    with the most episodes. Until the first evaluation, they come from the most recent training episodes, in which the policy explores.
-    The column `score` shows the source.
+    The return and the success rate come from an evaluation of the best model on held-out episodes; if there are several evaluations, from
+    the one with the most episodes. Until the first evaluation, they come from the most recent training episodes, in which the policy
+    explores. The column `score` shows the source.
 
     \b
       deepbots runs

@@ -71,7 +71,8 @@ def command(
         list[str] | None,
         option(
             "--logger NAME",
-            "Write the scalars with this logger too: csv, or one that an installed package adds; may be repeated.",
+            "Write the scalars with this logger too: csv, or one that an installed package adds; may be repeated. With --resume, `none`"
+            " drops all.",
             ADVANCED,
         ),
     ] = None,
@@ -105,8 +106,8 @@ def command(
     weights of the best policy of RUN into the new policy: each tensor (array of weights) that has the same name and shape in both. All
     others begin as usual.
 
-    `--logger csv` appends every scalar of TensorBoard to logs/scalars.csv of the run. A resumed run keeps its callbacks and loggers;
-    --callback and --logger replace them, and `--callback none` continues without them.
+    `--logger csv` appends every scalar of TensorBoard to logs/scalars.csv of the run. A resumed run keeps its callbacks and loggers.
+    --callback replaces the callbacks, and --logger the loggers; `--callback none` or `--logger none` drops them.
 
     --seeds trains a group: one folder with a run for each seed, one after the other. --resume of a group skips finished seeds.
 

@@ -135,7 +135,7 @@ def play(
     """Drive the robot of a scenario in the browser.
 
     You command the robot with keys, a gamepad, or buttons and sliders in the page. The page compares your return with that of another
-    driver in the same episode: the policy of a run, or the first script of a scenario.
+    driver from the same start: the policy of a run, or the first script of a scenario (a policy written by hand).
 
     \b
       deepbots play find_ball
