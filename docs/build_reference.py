@@ -86,7 +86,7 @@ class _Keys:
         for name, model in models.items():
             for key in section_fields(model):
                 owners.setdefault(_Key(model, key, kind=next(iter(models)) if key == spec.key else ""), []).append(name)
-        rows = [(key, "" if len(names) == len(models) else f"{_listed(names)}: ") for key, names in owners.items()]
+        rows = [(key, _of_kinds(names, list(models))) for key, names in owners.items()]
         doc = f"`{spec.key}` is one of {_listed(models)}."
         yield from self._table(title, doc, sorted(rows, key=lambda row: row[1] != ""), route)
 
@@ -204,6 +204,14 @@ def _known(spec: Shape) -> str:
             return next((known for known in map(_known, options) if known), "")
         case _:
             return ""
+
+
+def _of_kinds(names: list[str], kinds: list[str]) -> str:
+    """The kinds that have a key, or if they are many, those that lack it; nothing if all have it."""
+    lacking = [kind for kind in kinds if kind not in names]
+    if not lacking:
+        return ""
+    return f"all but {_listed(lacking)}: " if len(lacking) < len(names) // 2 else f"{_listed(names)}: "
 
 
 def _listed(names: Iterable[str]) -> str:

@@ -447,8 +447,8 @@ class Reset(Section):
     key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("layout", "place")),)
 
     place: Places = {}
-    """Start poses of robots and objects. Bodies with coordinates are placed first; the others follow in this order and avoid the bodies
-    placed before."""
+    """Start poses of robots and objects. Bodies with coordinates are placed first; the others follow in the order of the file, and avoid
+    the bodies placed before."""
     joints: Annotated[dict[Annotated[str, Reference("joints")], Annotated[JointState | JointAngle, FORMS]], InsteadOf("set")] = {}
     """Start positions of joints or of groups of joints, such as `cart.pole_hinge: uniform(-1 .. 1 deg)`."""
     layout: Annotated[Mixture | LayoutName, FORMS] | None = None
@@ -456,7 +456,8 @@ class Reset(Section):
     layouts: dict[SharedName, Annotated[MapLayout | Places, FORMS]] = {}
     """Layouts, each under a name that you choose: a start pose for each body, or a map of letters."""
     require: Annotated[str, Expression("require", boolean=True)] | None = None
-    """A condition that each start must meet. If it is false, deepbots draws the whole start again."""
+    """A condition that each start must meet. If it is false, deepbots draws the layout, the positions and the joints again;
+    parameters keep their values."""
     attempts: Annotated[int, WholeNumber(1, 100_000)] = 100
     """Maximum number of draws per reset. If none gives a valid start, the reset fails."""
     settle: Annotated[Scalar, Quantity("time", minimum=0)] = "0 s"

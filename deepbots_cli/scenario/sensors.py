@@ -81,9 +81,9 @@ class Sensor(Section):
     noise: Annotated[Scalar, Quantity("reading", known="episode", minimum=0, relative=True)] = 0
     """Standard deviation of the noise on each reading: in the unit of the sensor, or as `2 %` of the value."""
     bias: Annotated[Scalar, Quantity("reading", known="episode", relative=True)] = 0
-    """Constant offset of all readings of an episode: in the unit of the sensor, or as `2 %` of the value."""
+    """Error that stays the same for an episode: an offset in the unit of the sensor, or a share of the value, such as `2 %`."""
     drift: Annotated[Scalar, Quantity("any", known="episode")] = 0
-    """Growth of the bias per second."""
+    """Growth of the bias, in the unit of the sensor per second."""
     resolution: Annotated[Scalar, Quantity("reading", minimum=0)] = 0
     """Smallest difference between two readings; readings are rounded to a multiple of it."""
     range: Annotated[str, Range("reading")] | None = None
@@ -297,7 +297,7 @@ class RayScan(LinkSensor):
     """Rays by name, each with its pose on the sensor; or the number of rays, spread evenly over `angle_range` and named `r0`, `r1`, ...
     By default there is one ray."""
     angle_range: Annotated[str, Range("angle")] | None = None
-    """Yaw of the first and of the last ray of the fan, such as `90 .. -90 deg`."""
+    """Yaw of the first and of the last ray, such as `90 .. -90 deg`."""
 
 
 class RaySensor(RayScan):
