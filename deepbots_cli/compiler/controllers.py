@@ -186,7 +186,8 @@ class Actuators(NamespaceReader):
             senses |= dict.fromkeys(members, self._namespace.fixed(spec, "spin", pattern))
         open_ = [link for link in links if link not in senses]
         if open_ and not unknown:
-            self._values.add_at_key("DB102", (*spec.path, "spin"), f"`spin` has no value for `{open_[0]}`", "write 1 or -1 for each link")
+            help = f"write 1 or -1 for each link, as in `{open_[0]}: 1`"
+            self._values.add_at_key("DB102", (*spec.path, "spin"), f"`spin` has no value for `{open_[0]}`", help)
         found_all = [sense for link in links if (sense := senses.get(link)) is not None]
         return tuple(found_all) if len(found_all) == len(links) else None
 
@@ -231,7 +232,8 @@ class Actuators(NamespaceReader):
         known = [each for each in own if each is not None]
         if len(known) == len(own) and limit > max(known) * (1 + 1e-9):
             text, allowed = self._values.field(spec, key), Interval(-math.inf, max(known))
-            help = f"deepbots uses the smaller limit: lower this value, or raise `{key}` under `joints` if the motor is stronger"
+            joints = f"robots.{self._robot.name}.joints"
+            help = f"deepbots uses the smaller limit: lower this value or, if the motor is stronger, write its `{key}` under `{joints}`"
             warn_beyond_limits(self._values, text, dimension, allowed, "a limit of", single(limit), help)
 
 

@@ -8,7 +8,7 @@ from functools import partial
 
 from deepbots_cli.compiler.namespace import Namespace, NamespaceReader, Origin, ParameterScope, SupervisorScope
 from deepbots_cli.compiler.places import Layouts, PlacementChecker, Places
-from deepbots_cli.compiler.robots import joint_dimension, report_follower, warn_beyond_limits
+from deepbots_cli.compiler.robots import ResolvedRobot, joint_dimension, report_follower, warn_beyond_limits
 from deepbots_cli.compiler.values import SourceText, ValueReader
 from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.document.nodes import NodePath
@@ -163,7 +163,7 @@ def _pushed(spec: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | Non
         return None
     body, _, link = called.partition(".")
     if subject.kind not in _PUSHABLE_KINDS:
-        values.add("DB203", span, f"`{called}` is {subject.kind.description}", "a push acts on a robot, a link or an object")
+        values.add("DB203", span, f"`{called}` is {subject.kind.description}", "write the name of a robot, a link or an object")
         return None
     if _is_fixed(body, link, namespace):
         values.add("DB203", span, f"`{called}` does not move", "push a body that is not fixed")
@@ -191,6 +191,17 @@ def joint_starts(namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -
     return tuple(start for start in starts if start is not None)
 
 
+def _pose_help(robot: ResolvedRobot, given: str, poses: Mapping[str, Symbol]) -> str | None:
+    """How to start a robot in one of its poses: by the group of the joints of the pose."""
+    pose = poses.get(given)
+    if pose is None or pose.type is None or not pose.type.components:
+        return None
+    joints = pose.type.components
+    group = next((name for name, (kind, members) in robot.groups.items() if kind is Kind.JOINTS and members == joints), None)
+    define = "" if group else f"define `groups: {{posed: [{', '.join(joints)}]}}` under `robots.{robot.name}`, and "
+    return f"a pose sets the group of its joints: {define}write `{robot.name}.{group or 'posed'}: {given}`"
+
+
 def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> JointStart | None:
     robot_name, dot, part = key.partition(".")
     robot, text = namespace.robots.get(robot_name), namespace.values.key_text((*spec.path, "joints", key))
@@ -201,6 +212,7 @@ def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping
     if not part:
         movable = [*(name for name, (kind, _) in robot.groups.items() if kind in _JOINTS), *robot.drivable_joints]
         help = choices_help(key, [f"{key}.{name}" for name in movable]) if movable else "no joint of this robot can move"
+        help = _pose_help(robot, str(spec.joints[key]), poses.get(key, {})) or help
         namespace.values.add("DB203", text.span, f"expected a joint or a group of joints, found the robot `{key}`", help)
         return None
     subject = robot.subject(part, _JOINTS)

@@ -84,7 +84,7 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
         longest = longest_episode * spec.train.environments * (copies.count if copies else 1)
         if starts < longest:
             headline = (
-                f"learning begins after {starts:,} steps, but the first episode may not be complete by then, and hindsight samples "
+                f"learning begins after {starts:,} steps, but the first episode may not be complete by then, and hindsight replay samples "
                 "goals from complete episodes"
             )
             values.add("DB105", ("train", "learning_starts"), headline, f"set `learning_starts` to at least {longest:_}")
@@ -274,8 +274,9 @@ class _VariantCompiler:
             return False
         if lines:
             timestep = "the timestep, " if word == "stage" else ""
-            kept = f"{timestep}the observation, the action or the messages"
-            help = f"change only the world in a {word}; {kept} must be the same as in the scenario"
+            help = f"keep {timestep}the observation, the action and the messages as in the scenario"
+            if any(line.startswith("observation.") for line in lines):
+                help += f"; if a range uses a parameter that the {word} changes, write the range as numbers"
             for robot, base in zip(program.robots, self._base.robots, strict=True):
                 if len(robot.emit) > len(base.emit):  # without an `emit`, as otherwise they would be equal
                     listed = ", ".join(field.name for field in robot.emit)

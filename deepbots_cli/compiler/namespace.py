@@ -70,7 +70,7 @@ class Origin(Enum):
     PARAMETER = "a parameter"
     ACTION = "an action variable"
     FIELD = "a message field"
-    AUGMENT = "an augmentation"
+    AUGMENT = "an entry of `augment`"
     SIGNAL = "a signal"
     ENDING = "an ending"
     GOAL = "a part of the goal"
@@ -371,7 +371,7 @@ class Namespace:
         again = definition.origin in (Origin.AUGMENT, Origin.SIGNAL)
         help = "define one of these values without the others" + (", or use `previous(...)`, the value of the step before" if again else "")
         headline = f"`{definition.name}` depends on itself"
-        self.values.add_at_key("DB207", definition.path, headline, help, notes=(f"the circle is {way}",) if len(cycle) > 1 else ())
+        self.values.add_at_key("DB207", definition.path, headline, help, notes=(f"the cycle is {way}",) if len(cycle) > 1 else ())
         definition.symbol = Symbol(definition.name, None)
 
     def _report_too_deep(self, definition: Definition) -> None:
@@ -459,7 +459,7 @@ AFTER_SIGNALS = (Context.REWARD, Context.ENDING, Context.TEST)
 _NON_NEGATIVE = Interval(0.0, float("inf"))
 _END_FLAGS = ("terminated", "truncated", "ended")
 _PAST_REWARDS = ("previous_reward", "episode_return")
-GOAL_AFTER_SIGNALS_MESSAGE = "the goal is computed after the signals; use it only in endings and rewards"
+GOAL_REACHED_MESSAGE = "the goal has a value only in rewards, endings and tests"
 _BUILT_IN = ("time", "step", "previous_action", "goal_reached", *_PAST_REWARDS, *_END_FLAGS)
 
 
@@ -489,6 +489,10 @@ class ParameterScope(_Scope):
         origin = self.namespace.origin(name)
         if origin in (None, Origin.PARAMETER, Origin.ROBOT, Origin.OBJECT, Origin.WALL, Origin.LINE):
             return self.namespace.symbol(name)
+        if self.context is Context.REQUIRE and origin in (Origin.AUGMENT, Origin.SIGNAL):
+            return Symbol(
+                name, None, refusal=f"{origin.value} has no value before the episode begins; write the expression of `{name}` here"
+            )
         return Symbol(name, None, refusal=f"only parameters can be used here; {origin.value} changes in every step")
 
     def names(self) -> Iterable[str]:
@@ -504,9 +508,11 @@ class SupervisorScope(_Scope):
             return built_in
         origin = self.namespace.origin(name)
         if origin is Origin.ENDING and self.context not in AFTER_SIGNALS:
-            return Symbol(name, None, refusal="endings are computed after the signals; use the condition itself")
+            return Symbol(
+                name, None, refusal=f"endings have a value only in rewards, endings and tests; {self._instead(f'condition of `{name}`')}"
+            )
         if origin is Origin.GOAL and self.context not in AFTER_SIGNALS:
-            return Symbol(name, None, refusal=GOAL_AFTER_SIGNALS_MESSAGE)
+            return Symbol(name, None, refusal=f"{GOAL_REACHED_MESSAGE}; {self._instead(f'expression of `goal.{name}`')}")
         robot, _, rest = name.partition(".")
         resolved = self.namespace.robots.get(robot)
         if origin is None and resolved is not None and rest in resolved.spec.sensors and not self.namespace.is_invalid(name):
@@ -517,6 +523,11 @@ class SupervisorScope(_Scope):
                 listed = ", ".join(known)
                 return Symbol(name, None, refusal=f"only this test uses it, so `{robot}` does not send it; write `emit: [{listed}]`")
         return self.namespace.symbol(name)
+
+    def _instead(self, text: str) -> str:
+        """Where to write the text of a definition that has no value here."""
+        named = self.context in (Context.OBSERVATION, Context.FORBID)  # which use values of `augment` by name
+        return f"write the {text} under `augment`, and use its name here" if named else f"write the {text} here"
 
     def _built_in(self, name: str) -> Symbol | None:
         if name == "time":

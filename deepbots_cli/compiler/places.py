@@ -91,10 +91,11 @@ class PlacementChecker(NamespaceReader):
             stack.append(below.body)
             below = standing.get(below.spot.of) if isinstance(below.spot, Top) else None
         if below is not None and below.body != next(body for body in standing if body in stack):
-            return  # the circle is reported once, of the first of its bodies
+            return  # the cycle is reported once, of the first of its bodies
         if below is not None and below.body == place.body:
-            notes = (f"the circle is {' -> '.join((*stack, place.body))}",) if len(stack) > 1 else ()
-            self._values.add("DB207", span, f"`{place.body}` is placed on itself", "place one body of the cycle on the ground", notes=notes)
+            notes = (f"the cycle is {' -> '.join((*stack, place.body))}",) if len(stack) > 1 else ()
+            help = f"remove `on` of `{place.body}`, which then rests on the ground"
+            self._values.add("DB207", span, f"`{place.body}` is placed on itself", help, notes=notes)
             return
         if any(_coordinate(support, turn) != 0.0 for turn in ("roll", "pitch")):
             self._values.add("DB203", span, f"the top of `{spot.of}` is not level", f"remove `roll` and `pitch` of `{spot.of}`")
@@ -145,7 +146,7 @@ class PlacementChecker(NamespaceReader):
             if patch is not None and all(patch.distance(*corner) < needed - 1e-6 for corner in corners):
                 headline = f"the region has no free position for `{place.body}`: `{thing.name}` covers it"
                 onto = f"write `on: {thing.name}` to put it on the top of `{thing.name}`, or " if has_top(thing) and other else ""
-                self._values.add_at_key("DB105", (*path, "region"), headline, f"{onto}move the region away from it")
+                self._values.add_at_key("DB105", (*path, "region"), headline, f"{onto}move the region away from `{thing.name}`")
                 return
 
     def copies(self, place: Placement) -> int:

@@ -11,7 +11,7 @@ from functools import partial
 from deepbots_cli.compiler.controllers import driven_parts
 from deepbots_cli.compiler.namespace import (
     AFTER_SIGNALS,
-    GOAL_AFTER_SIGNALS_MESSAGE,
+    GOAL_REACHED_MESSAGE,
     HIDDEN_ORIGINS,
     Namespace,
     NamespaceReader,
@@ -286,7 +286,7 @@ class Observations(NamespaceReader):
             fix, what, help = (
                 None,
                 "a parameter",
-                f"add it to `augment` by another name, as `seen_{name}: {name}`, and observe that",
+                f"write `seen_{name}: {name}` under `augment`, and observe `seen_{name}`",
             )
         else:
             fix, what = None, "a parameter"
@@ -387,7 +387,7 @@ class Goals(NamespaceReader):
         if self._spec.agent.action_repeat > 1:
             span = self._values.field(self._spec.agent, "action_repeat").span
             help = "remove `action_repeat`, and use a longer timestep instead"
-            self._values.add("DB709", span, "hindsight cannot recompute a reward over several timesteps", help)
+            self._values.add("DB709", span, "hindsight replay cannot recompute a reward over several timesteps", help)
         _check_rewards(rewards, self._namespace)
         if achieved is None or desired is None or ends is None or within is None:
             return None
@@ -415,7 +415,7 @@ class Goals(NamespaceReader):
     def _reached(self, context: Context) -> Symbol:
         name = "goal_reached"
         if context not in AFTER_SIGNALS:
-            return Symbol(name, None, refusal=GOAL_AFTER_SIGNALS_MESSAGE)
+            return Symbol(name, None, refusal=GOAL_REACHED_MESSAGE)
         for part in self._namespace.names_of(Origin.GOAL):
             symbol = self._namespace.resolve(part)
             if symbol is None or symbol.type is None:
@@ -428,11 +428,13 @@ def _check_rewards(terms: Iterable[Expression], namespace: Namespace) -> None:
     for term in terms:
         if term.foreign is not None:
             help = "write the reward as an expression of `achieved` and `desired`"
-            namespace.values.add("DB709", term.span, "hindsight cannot recompute a reward in Python", help)
+            namespace.values.add("DB709", term.span, "hindsight replay cannot recompute a reward in Python", help)
         for odd in _parts_besides_goal(term.typed):
             text = namespace.values.text(tuple(term.owner.split(".", 1)), term.text)
             headline = f"the term `{term.name}` depends on values other than the goal"
-            help = "use `achieved`, `desired`, `goal_reached` and fixed values: hindsight recomputes the reward for other goals"
+            help = (
+                "use `achieved`, `desired`, `goal_reached` and fixed values: hindsight replay (HER) recomputes the reward for other goals"
+            )
             namespace.values.add("DB709", text.part(odd.start, odd.end), headline, help)
             break
 

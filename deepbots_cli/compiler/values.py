@@ -15,7 +15,7 @@ from deepbots_cli.diagnostics import Findings, Fix, Label, Span
 from deepbots_cli.diagnostics.nearest import Replacement, nearest_word, suggest_replacement
 from deepbots_cli.document.nodes import MappingNode, Node, NodePath, ScalarNode, SequenceNode, descend, to_data
 from deepbots_cli.expressions import check, parser, syntax
-from deepbots_cli.expressions.dimensions import TORQUE, UNITS, Dimension
+from deepbots_cli.expressions.dimensions import ACCELERATION, TORQUE, UNITS, Dimension
 from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import (
     Components,
@@ -39,6 +39,8 @@ _BARE_WORD = re.compile(r"(?<![\w.])(?<!\d )[A-Za-z_]\w*")
 """A word that is not the unit of a number."""
 _COPY = re.compile(r"#\d")
 _KEY_BEFORE = re.compile(r"(?<![\w.])([\w.]+)['\"]?\s*:\s*$")
+_DEFINED_UNDER = {"case": "evaluation.cases", "stage": "curriculum", "line": "world.lines", "object": "objects", "layout": "reset.layouts"}
+"""The place of definitions, by what findings call them."""
 ANY_NAME = "*"
 """Stands for all names: those of a section that is no mapping cannot be told."""
 
@@ -229,7 +231,9 @@ class ValueReader:
         if not self.is_invalid(name):
             near = suggest_replacement(name, known)
             fix = Fix.replacing(span, name, near.text, safe=near.safe) if near else None
-            self.add(code, span, f"there is no {what} `{name}`", choices_help(name, known) if known else f"no {what} is defined", fix=fix)
+            place = _DEFINED_UNDER.get(what)
+            none = f"no {what} is defined" if place is None else f"define `{name}` under `{place}`"
+            self.add(code, span, f"there is no {what} `{name}`", choices_help(name, known) if known else none, fix=fix)
 
     def report(self, text: SourceText) -> FindingReporter:
         """A function that takes findings at offsets of `text`."""
@@ -341,7 +345,9 @@ class ValueReader:
         kind = text.kind
         if not isinstance(kind, Quantity) or not kind.components or kind.known == "fixed" or value.type.components is not None:
             return True
-        help = f"write `vector(x, y, z)`, or draw three: `uniform(-1 -1 0 .. 1 1 0 {value.type.dimension})`"
+        unit = value.type.dimension
+        drawn = f"0 0 -10 .. 0 0 -9 {unit}" if unit == ACCELERATION else f"-1 -1 0 .. 1 1 0 {unit}"
+        help = f"write `vector(x, y, z)`, or draw all three components: `uniform({drawn})`"
         self.add("DB404", text.span, f"{what} must be a vector; this is a single value", help)
         return False
 

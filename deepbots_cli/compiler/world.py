@@ -85,7 +85,7 @@ def _group(name: str, thing: world_spec.PlacedBody, namespace: Namespace) -> Obj
         values.add("DB105", count.span, "a count without a maximum", "draw it from a range: `integer(1 .. 10)`")
         return None
     if highest > MAX_BODIES:
-        help = "use fewer: an engine would take minutes to build this world"
+        help = "use fewer bodies: an engine would take minutes to build this world"
         values.add("DB005", count.span, f"the count can be {highest:,.0f}; the limit is {MAX_BODIES}", help)
         return None
     return ObjectGroup(name, max(1, int(highest)), count)
@@ -441,7 +441,7 @@ def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) 
     if sum(counts.values()) > MAX_BODIES:
         most = max(counts, key=lambda section: counts[section])
         headline = f"the world has {sum(counts.values()):,} robots, objects and pieces of walls; the limit is {MAX_BODIES}"
-        namespace.values.add_at_key("DB005", most, headline, "use fewer: an engine would take minutes to build this world")
+        namespace.values.add_at_key("DB005", most, headline, "use fewer bodies: an engine would take minutes to build this world")
 
 
 def _ground(spec: world_spec.Ground, namespace: Namespace) -> Ground:

@@ -62,22 +62,22 @@ _MAX_EXPONENT = 12
 _MAX_DENOMINATOR = 4
 _STATIC_HELP = "use a number or a parameter; the state of the world and messages are known only during an episode"
 _FAMILY_HELP = {
-    Family.DRAW: "draw it as a parameter, and use the parameter here",
+    Family.DRAW: "define the draw under `parameters`, and use its name here",
     Family.STATEFUL: "define it under `signals`, and use the signal where signals are available",
     Family.MESSAGE: "define the value under `receive`, and use its name here; only the supervisor receives messages of robots",
     Family.WORLD: "define the value under `receive`, and use its name here; a robot knows only its sensors and the values that it receives",
 }
 _STATIC_PLACES = (Context.FIXED, Context.PARAMETER, Context.FIELD, Context.OBSERVATION, Context.RESET)
 _CONTEXT_HELP = {
-    **{(Context.FORBID, family): "compute it under `augment`, and use that name here" for family in Family},
+    **{(Context.FORBID, family): "define the value under `augment`, and use its name here" for family in Family},
     **{(place, family): _STATIC_HELP for place in _STATIC_PLACES for family in (Family.WORLD, Family.MESSAGE)},
     (Context.EMIT, Family.WORLD): "define the value under `augment`; a robot knows only its sensors",
     (Context.EMIT, Family.MESSAGE): "define the value under `augment`; only the supervisor receives messages of robots",
     (Context.FIXED, Family.DRAW): "write one number for all episodes",
-    (Context.SCRIPT, Family.STATEFUL): "define it as a signal, and use the signal here",
-    (Context.TEST, Family.STATEFUL): "define it as a signal, and use the signal here",
-    (Context.TEST, Family.MESSAGE): "define it as a signal, and use the signal here",
-    (Context.GOAL, Family.MESSAGE): "define it as a signal, and use the signal here",
+    (Context.SCRIPT, Family.STATEFUL): "define the value under `signals`, and use its name here",
+    (Context.TEST, Family.STATEFUL): "define the value under `signals`, and use its name here",
+    (Context.TEST, Family.MESSAGE): "define the value under `signals`, and use its name here",
+    (Context.GOAL, Family.MESSAGE): "define the value under `signals`, and use its name here",
     (Context.REQUIRE, Family.MESSAGE): "remove it: no message has arrived when the start is drawn",
 }
 # A common question about a part of the world that has no position.
@@ -270,6 +270,11 @@ class _Checker:
             raise self._unknown("name", name, fitting, node)
         found = subject.kind.description if subject is not None else "a value"
         help = _known(fitting, f"the scenario does not have {wanted}")
+        if subject is not None and subject.kind is Kind.OBJECTS and fitting:
+            help = f"use a function of two bodies, as in `min(distance({min(fitting)}, {name}))`; {help}"
+        if kinds == {Kind.CAMERA}:
+            found = f"{found} of another type" if found == Kind.SENSOR.description else found
+            help = help if fitting else "add a sensor with `type: camera` to a robot, and write its name here"
         raise self._fault("DB203", node, f"`{name}` is {found}, but `{function}` needs {wanted}", help)
 
     def _no_value(self, node: syntax.Name) -> StopChecking:

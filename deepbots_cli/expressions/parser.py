@@ -473,8 +473,8 @@ _FOREIGN_SIGNS = {
 _CONDITIONAL = _Hint("write `a if condition else b`")
 _NO_TEXT = _Hint("expressions contain numbers and names, but no text")
 COPIES_HELP = (
-    "single copies cannot be named: write the name of the robot for the copy that evaluates the expression, and the name of a group "
-    "for all its copies, as in `min(distance(cart, crate))`"
+    "copies cannot be named by number: the name of a group of objects, such as `crate`, stands for all its copies, as in "
+    "`min(distance(cart, crate))`; the name of a robot stands for one copy, and no expression uses two copies of one robot"
 )
 _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _FOREIGN_SIGNS.items()} | {
     "**": _Hint("write a power as `a ^ b`", "^"),
@@ -501,7 +501,7 @@ _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _FOREIG
     ",": _Hint("a comma separates the arguments of a function; write decimals with a point"),
     "+-": _Hint("`normal(mean +- std)` is a draw; elsewhere put a space between the signs"),
     "|": _Hint("write `abs(x)` for the absolute value, `choice(a | b)` for a draw, and `or` between conditions"),
-    "#": _Hint(f"{COPIES_HELP}; a comment needs a space before its `#`"),
+    "#": _Hint("write a space before the `#` of a comment"),
     "->": _Hint("use a schedule only under `train`"),
 }
 
@@ -513,7 +513,8 @@ def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | 
     """Headline, help and correction, where the token `at` cannot stand; `missing` where a value was due."""
     token, before = tokens[at], tokens[at - 1] if at else tokens[at]
     shown = token.text if token.text.isprintable() else f"U+{ord(token.text[0]):04X}"
-    help, text = _HINTS.get(token.text, (None, None))
+    is_copy = token.text == "#" and tokens[at + 1].kind == "NUMBER"
+    help, text = (COPIES_HELP, None) if is_copy else _HINTS.get(token.text, (None, None))
     if token.kind == "END":
         return "the expression is incomplete", _missing_end(tokens) if at else None, None
     if token.text == "=":

@@ -38,11 +38,11 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
     succeed. The finding states the required share, and appears only if it is more than one half. Make a failure cost
     more than all steps together, or pay for each good step.
 
-    The rule adds up the smallest cost of a step that does not end the episode, over the episode or over the horizon of
-    the discount factor if that is shorter. The sum of `delta(x)` is at most the change of x over the episode, so the
-    rule uses the range of x if it is known. In a task with a goal, the rule considers the steps in which the goal is
-    not reached: if each of them costs, as with `-1 when not goal_reached`, a failure that ends the episode ends these
-    costs.
+    The rule takes the smallest cost of a step that does not end the episode, times the number of steps: those of the
+    episode, or of the horizon of the discount factor if that is shorter. A term with `delta(x)` adds up to the change
+    of x from its start, however many steps there are, so the rule computes its sum from the range of x. In a task with
+    a goal, the rule considers the steps in which the goal is not reached: if each of them costs, as with `-1 when not
+    goal_reached`, a failure that ends the episode ends these costs.
 
     Example::
 
@@ -108,9 +108,9 @@ def _price(cost: float) -> str:
 
 def _share_notes(reward: RewardTerms, share: float, success: Expression) -> tuple[str, ...]:
     less = _horizon(reward) < reward.analysis.last_step - 1
-    known = f"; the discount factor of the training limits the horizon to about {_horizon(reward):.0f} steps" if less else ""
+    known = f"with the discount factor of the training, only about {_horizon(reward):.0f} steps matter: over these, " if less else ""
     return (
-        f"failing at once gives a higher return unless more than {100.0 * share:.0f} % of the episodes end with `{success.name}`{known}",
+        f"{known}failing at once gives a higher return unless more than {100.0 * share:.0f} % of the episodes end with `{success.name}`",
     )
 
 
@@ -373,7 +373,7 @@ def _place_pays(simulation: Simulation, success: Expression) -> list[Finding]:
     steps = _steps_from(analysis, success)
     if pay <= 0.0 or pay * steps <= prize or pay * min(steps, _horizon(reward)) <= _MIN_WORTH * prize:
         return []
-    headline = f"`{best.name}` pays up to {pay:.3g} in a step, {pay * steps:.4g} in an episode that stays there"
+    headline = f"`{best.name}` pays up to {pay:.3g} in a step, {pay * steps:.4g} over a whole episode"
     headline += f", but `{success.name}` pays {prize:.3g} only once"
     also = (Label(success.span, "ends these payments"),)
     return [Finding("DB708", best.span, headline, _PROGRESS_HELP, notes=(simulation.summary,), labels=also)]

@@ -87,8 +87,8 @@ def replace_range(context: RuleContext, number: RangedNumber, wide: Interval, di
 def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
     """DB614: with hindsight replay, an entry of the observation depends on the goal.
 
-    Hindsight stores each step once more with another goal. It replaces `desired`, which the policy sees anyway, and recomputes the
-    reward. It cannot change an entry of `observation`, so the agent learns from steps with two contradictory goals.
+    Hindsight replay (HER) stores each step once more with another goal. It replaces `desired`, which the policy sees anyway, and recomputes
+    the reward. It cannot change an entry of `observation`, so the agent learns from steps with two contradictory goals.
 
     Example::
 
@@ -366,7 +366,7 @@ def often_saturated(simulation: Simulation) -> Iterator[Finding]:
 
 
 def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
-    """DB318: `auto` gives all joints of a vector one range, and the limits of one of them are much tighter.
+    """DB318: the range `auto` of an observation is the same for all joints of a vector, and the limits of one joint are much tighter.
 
     All components of a vector share one range. If one joint moves by 52 cm and another by 16 cm, the second uses only a
     third of [-1, 1], so the policy observes it at low resolution. Observe each joint separately. The rule reports joint

@@ -39,7 +39,8 @@ def reward_unbounded(context: RuleContext) -> Iterator[Finding]:
     """DB701: a term of the reward has no bound: its divisor may be zero, or it takes the exponential of an unbounded value.
 
     A single step with a very small divisor outweighs all other steps, also in the learned value function. At zero the reward is
-    undefined and the run stops. Divisors that a `where` or an ending keeps away from zero are not reported.
+    undefined and the run stops. Divisors that a condition (`a if condition else b`) or an ending keeps away from zero are
+    not reported.
 
     Example::
 
@@ -134,7 +135,8 @@ def term_dominates(context: RuleContext) -> Iterator[Finding]:
 
     The agent cannot learn to reach the goal or to avoid failure, because both have a negligible share of the return.
     The rule computes the smallest absolute sum of the term in an episode that lasts until the time limit. A term that
-    is the same in every step, such as `alive: 1`, is not reported.
+    is the same in every step, such as `alive: 1`, is not reported. In the example, `step` is the number of the step, so
+    the term is -200 at first, and -1 after 200 steps.
 
     Example::
 

@@ -356,9 +356,9 @@ def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
 def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
     """DB317: the limits of a joint in a robot file were probably meant in degrees.
 
-    URDF uses radians: `upper="90"` is more than 14 turns. `auto` uses the limits as the range. The rule reports a turning joint that an
-    actuator, a sensor or an expression uses, if its limits are whole numbers and the larger one is from 10 to 360. Joints of
-    several turns, whose limits are multiples of pi, and very large limits that mean "no limit" are not reported.
+    URDF uses radians: `upper="90"` is more than 14 turns. The range `auto` of an observation takes these limits, and is then far too wide.
+    The rule reports a turning joint that an actuator, a sensor or an expression uses, if its limits are whole numbers and the larger one is
+    from 10 to 360. Joints of several turns, whose limits are multiples of pi, and very large limits that mean "no limit" are not reported.
 
     Example::
 

@@ -19,6 +19,7 @@ from deepbots_cli.diagnostics import Finding, Fix, Label
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH
 from deepbots_cli.expressions.intervals import NEVER, Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
+from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.expressions.unification import negated_text
 from deepbots_cli.lint.context import RuleContext
 from deepbots_cli.program.values import Expression
@@ -213,8 +214,12 @@ def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
         hidden = sorted((analysis.drawn_dependencies(node) - seen) & (drawn | bodies))
         if hidden:
             what = f"the {'drawn parameter' if hidden[0] in drawn else 'body'} `{hidden[0]}`"
-            help = f"add an entry that uses `{hidden[0]}` under `augment`, and observe this entry"
-            yield Finding("DB706", term.span, f"`{term.name}` depends on {what}, which the policy does not observe", help)
+            help = f"add an entry that uses `{hidden[0]}` under `augment`, and list this entry under `observation`"
+            used = set(referenced_names(term.typed))
+            between = [value for value in program.signals if value.name in used and hidden[0] in referenced_names(value.typed)]
+            headline = f"`{term.name}` depends on {what}, which the policy does not observe"
+            labels = [Label(value.span, f"depends on `{hidden[0]}`") for value in between]
+            yield Finding("DB706", term.span, headline, help, labels=tuple(labels))
 
 
 def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
@@ -222,8 +227,8 @@ def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
 
     The agent learns to stay close to the failure, or to cause it. The usual cause is a missing sign. The rule checks lengths and angles
     that are deviations from zero (`abs(x)`, `tilt(robot)`, a distance) and that cause a failure when they are large. It reports a term that
-    always pays more just below the limit than at zero. It reports nothing if another term or a success uses the same quantity, so tasks
-    that reward an approach without contact are not reported. Speeds are not checked.
+    always pays more just below the limit than at zero. It reports nothing if another term or a success uses the same quantity: the
+    approach may then be intended. Speeds are not checked.
 
     Example::
 

@@ -269,8 +269,8 @@ def identical_episodes(context: RuleContext) -> Iterator[Finding]:
     """DB809: nothing is random, so all episodes are the same.
 
     Physics is deterministic. A policy without noise behaves the same in all episodes of an evaluation: the standard deviation of their
-    returns is 0, and they test only one start. The rule treats draws, noise, lost messages, free positions, several layouts and Python
-    code as random. It does not report scenarios with several cases of the evaluation or stages of a curriculum. If one start is
+    returns is 0, and they test only one start. The rule treats draws, noise, lost messages, positions in a region, several layouts
+    and Python code as random. It does not report scenarios with several cases of the evaluation or stages of a curriculum. If one start is
     intended, one episode is enough: `evaluation: {episodes: 1}`.
 
     Example::
@@ -330,9 +330,9 @@ def _draws_coordinates(place: Placement) -> bool:
 def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
     """DB812: `reset.require` depends only on drawn parameters, which are not drawn again when the requirement does not hold.
 
-    If a start does not meet the requirement, deepbots draws the layout, all positions and the joints again. Parameters
-    keep their values for the episode, so every attempt is the same, and the reset fails. Draw the parameter from
-    values that meet the requirement, or draw places under `place`.
+    If a start does not meet the requirement, deepbots draws the layout, all positions and the joints again, at most
+    `reset.attempts` times. Parameters keep their values for the episode, so the requirement stays false, and the reset
+    fails. Draw the parameter from values that meet the requirement, or draw positions under `place`.
 
     Example::
 
@@ -359,13 +359,11 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
     sources = sorted((analysis.drawn_dependencies(node) | names) & drawn)
     bent = {subject.partition(".")[0] for fact in facts if not _is_of_root(program, fact) for subject in fact.subjects}
     if sources and not _is_drawn_again(program, places, bent) and analysis.start.of(node) != ALWAYS:
-        headline = f"`require` depends on `{sources[0]}`, which is drawn only once per episode, so a new attempt cannot meet it"
-        yield Finding(
-            "DB812",
-            require.span,
-            headline,
-            f"draw `{sources[0]}` only from values that meet the requirement, or draw positions under `reset.place`",
+        headline = f"if `require` is false, deepbots draws positions and joints again, but not `{sources[0]}`, on which it depends"
+        help = (
+            f"draw `{sources[0]}` only from values that meet the requirement (`choice(-1 | 1) * uniform(6 .. 20 cm)` for two intervals), "
         )
+        yield Finding("DB812", require.span, headline, f"{help}or draw positions under `reset.place`")
 
 
 def _is_of_root(program: Program, fact: EngineRead) -> bool:

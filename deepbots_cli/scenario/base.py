@@ -77,7 +77,7 @@ class KeyCount:
             yield InitErrorDetails(type=refused, loc=(given[-1],), input=data[given[-1]])
         elif len(given) < self.min:
             names = " or ".join(f"`{name}`" for name in self.names)
-            yield InitErrorDetails(type=error("DB102", f"missing key {names}", "write one of them", missing=self.names), input=data)
+            yield InitErrorDetails(type=error("DB102", f"missing key {names}", "write one of the two", missing=self.names), input=data)
 
 
 class Section(BaseModel):

@@ -44,7 +44,7 @@ _MAX_SHOWN_CHARACTERS = 40
 _MAX_EXAMPLE_CHARACTERS = 120
 _RESERVED = {"agents": "competing agents are not supported yet"}
 
-_OWN_SECTION_HELP = "move it to the top level: remove the indentation of this key and of the lines below it"
+_OWN_SECTION_HELP = "move it to the top level: indent this key, and its contents with it, by one level less"
 # Stand-ins for required sections that had findings, so that the other sections are still looked at.
 _REQUIRED_SECTION_DEFAULTS: dict[str, object] = {
     "deepbots": VERSION,
@@ -165,6 +165,7 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
             help, near = hint[0], near or hint[1]
     elif kind == "DB102":
         headline = f"{headline} {_place(path)}"
+        help = ". ".join(filter(None, (help, about_key(data, (*path, context["missing"][0])) if context["missing"] else None)))
     elif kind == "DB107":
         headline = f"{'a key' if at_key else f'`{_name_of(path)}`'} {headline}"
     at_key = at_key or kind in ("DB101", "DB102", "DB107")

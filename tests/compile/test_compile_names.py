@@ -44,7 +44,7 @@ def test_a_circle_is_told_once_and_in_full(workshop, cartpole) -> None:
     text = cartpole(("  x:         position(cart).x", "  x: y + z\n  y: z\n  z: x"))
     (finding,) = workshop.lint(text)
     assert finding.code == "DB207"
-    assert finding.notes == ("the circle is x -> y -> z -> x",)
+    assert finding.notes == ("the cycle is x -> y -> z -> x",)
 
 
 def test_previous_does_not_break_a_circle_of_parameters(workshop, cartpole) -> None:
