@@ -28,6 +28,7 @@ from deepbots_cli.learning import TrainingResult, evaluate, learner, load_policy
 from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.learner import steps_of
 from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.sb3.networks import sampled_actions
 from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Training
 from deepbots_cli.runtime.spaces import action_space, observation_space
 from tests.few import few
@@ -311,3 +312,22 @@ def test_likeliest_actions_of_rows_are_those_of_the_library_to_the_bit(scenario)
         ours, (theirs, _) = policy.predict(rows, deterministic=True)[0], policy.model.predict(rows, deterministic=True)
         assert ours.dtype == theirs.dtype
         np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.mark.parametrize("scenario", ["cartpole", "cartpole_continuous"])
+def test_sampled_actions_of_rows_are_those_of_the_library_to_the_bit(scenario):
+    """So are their values and log-probabilities, and the random numbers that they take."""
+    program = api.compile(scenario).program
+    training = Training("PPO", 1000, network=Network((32, 32), "tanh"))
+    policy = learner.create(learner.Setup(training, observation_space(program.agent), action_space(program.agent))).model.policy
+    generator = np.random.default_rng(0)
+    for scale in (0.01, 1.0, 30.0):
+        rows = torch.from_numpy((scale * generator.normal(size=(8, *policy.observation_space.shape))).astype(np.float32))
+        with torch.no_grad():
+            before = torch.get_rng_state()
+            theirs, after = policy(rows), torch.get_rng_state()
+            torch.set_rng_state(before)
+            ours = sampled_actions(policy, rows)
+        assert torch.equal(torch.get_rng_state(), after)
+        for mine, other in zip(ours, theirs, strict=True):
+            assert torch.equal(mine, other)
