@@ -65,7 +65,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Measure how long a step takes, and how much of this time is physics.
+    """Measure how long a step takes, and the physics in it.
 
     The command runs the same episodes twice in the same engine: with full environment steps, and with the physics alone. It prints a ratio:
     the time of an environment step divided by the time of its physics. The difference is the cost of messages, observation, reward and
