@@ -3,6 +3,7 @@
 command.py     the commands as one program; arguments that several commands share
 commands/      the commands, a module per topic, imported when one of its commands is called
 sources.py     scenarios, runs and robots as arguments
+processes.py   the processes of `--workers` and `--cluster`
 exits.py       exceptions to exit codes
 terminal.py    output, color, progress
 tables.py      tables as text

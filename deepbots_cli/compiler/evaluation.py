@@ -88,6 +88,9 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
                 "goals from complete episodes"
             )
             values.add("DB105", ("train", "learning_starts"), headline, f"set `learning_starts` to at least {longest:_}")
+    if spec.train.shards > spec.train.environments:
+        headline = f"`shards` is {spec.train.shards}, but `environments` is only {spec.train.environments}"
+        values.add("DB105", ("train", "shards"), headline, "use at most one shard for each environment")
     return Training(
         spec.train.algorithm,
         spec.train.total_timesteps,
@@ -98,6 +101,7 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
         replay,
         spec.train.normalize,
         spec.train.device,
+        spec.train.shards,
     )
 
 

@@ -10,6 +10,7 @@ checkpoints.py   the whole state of a training, from which it goes on to the bit
 checkpoint_files.py  the files of a checkpoint, and what they may hold
 callbacks.py     what happens during training: evaluations, the best model, scalars, when to stop
 environments.py  how worlds are made: one by one, or as a batch
+shards.py        the worlds of a training, and shards of them with a copy of the policy
 curriculum.py    the stages of a training
 scenario_tests.py  the tests of a scenario
 episodes.py      what episodes leave behind: log, statistics, solved, summaries with intervals

@@ -25,8 +25,6 @@ from deepbots_cli import api
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError, RunError, UsageError
 from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.episodes import Statistics
-from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.run import Run, read_json, write_numbered
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Start, steps
@@ -141,15 +139,20 @@ class BatchFailureRecorder:
     Args:
         run: The run that keeps a file of each failure.
         guarded: Builds a single world of a stage of the curriculum, by its number, in a `FailureRecorder`.
-        statistics: Number the episodes.
+        next_episode: Returns the number of the next episode.
         curriculum: Names the stages.
-        reporter: Tells the user of a lost episode.
+        note: Called with the text of a lost episode.
     """
 
     def __init__(
-        self, run: Run, guarded: Callable[[int], FailureRecorder], statistics: Statistics, curriculum: Curriculum, reporter: Reporter
+        self,
+        run: Run,
+        guarded: Callable[[int], FailureRecorder],
+        next_episode: Callable[[], int],
+        curriculum: Curriculum,
+        note: Callable[[str], None],
     ) -> None:
-        self._run, self._guarded, self._statistics, self._curriculum, self._reporter = run, guarded, statistics, curriculum, reporter
+        self._run, self._guarded, self._next_episode, self._curriculum, self._note = run, guarded, next_episode, curriculum, note
         self._losses: deque[int] = deque(maxlen=MAX_LOST_EPISODES)
         self._files = 0
 
@@ -159,7 +162,7 @@ class BatchFailureRecorder:
         Raises:
             EngineError: Ten of the last hundred episodes were lost.
         """
-        number = self._statistics.next_episode
+        number = self._next_episode()
         self._losses.append(number)
         again_and_again = len(self._losses) == MAX_LOST_EPISODES and number - self._losses[0] < LOSS_WINDOW_EPISODES
         if not again_and_again and self._files == MAX_LOST_EPISODES:
@@ -172,7 +175,7 @@ class BatchFailureRecorder:
             raise EngineError(
                 f"in {MAX_LOST_EPISODES} of the last {window} episodes the state became infinite or NaN; the last one is {text}"
             )
-        self._reporter.note(f"{text}\nworld {loss.world} was reset")
+        self._note(f"{text}\nworld {loss.world} was reset")
 
     def record_failed(self, stage: int, histories: Sequence[EpisodeHistory]) -> None:
         """Find the episode that fails: repeat the running episodes of a stage in a single world, until one fails.

@@ -24,7 +24,7 @@ from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState, read_arrays, write_arrays
 from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.task import Training
-from deepbots_cli.rollout.collector import Collector, Decision, Fragment
+from deepbots_cli.rollout.collector import Collector, Decision, Fragment, PolicyActor
 from deepbots_cli.rollout.worlds import WorldsStep
 from deepbots_cli.scenario.training import ALGORITHMS
 
@@ -39,7 +39,7 @@ _MAX_DATA_BYTES = 8_000_000
 
 @dataclass(frozen=True)
 class Setup:
-    """Arguments of a learner; `longest_episode` is in steps, `collector` is None for a policy that does not learn."""
+    """Arguments of a learner; `longest_episode` is in steps, `collector` is None for a policy that does not learn but acts in `rows`."""
 
     training: Training
     observation_space: gym.Space[Any]
@@ -48,6 +48,7 @@ class Setup:
     total_timesteps: int = 1
     longest_episode: int = 1
     collector: Collector | None = None
+    rows: int = 1
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,14 @@ class Learner(ABC):
     @abstractmethod
     def collect(self) -> bool:
         """Collect the next fragment; False if the monitor of the training stopped it before."""
+
+    def actor(self) -> PolicyActor:
+        """The policy as it acts to learn; shards have copies of it.
+
+        Raises:
+            UsageError: The algorithm does not support shards.
+        """
+        raise UsageError(f"{self.setup.training.algorithm} does not support shards; leave out `shards` under `train`")
 
     @abstractmethod
     def update(self) -> None:

@@ -7,10 +7,9 @@ import platform
 import shutil
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing, nullcontext, suppress
 from dataclasses import replace
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from shlex import quote
@@ -18,18 +17,18 @@ from typing import Any
 
 import deepbots_cli
 from deepbots_cli import api, engine_kinds
-from deepbots_cli.api import Compiled, build_batch
+from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, PluginError, RunError, UsageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning import learner as learners
+from deepbots_cli.learning import shards
 from deepbots_cli.learning.callbacks import UNLIMITED_SHARE, Evaluator, TrainingCallback, check_finite, signals_handled
 from deepbots_cli.learning.checkpoint_files import damage_explained, latest_checkpoint
 from deepbots_cli.learning.checkpoints import Checkpoints
 from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch, stepping_text, supervisor_factory
+from deepbots_cli.learning.environments import WorldFactory, stepping_text, supervisor_factory
 from deepbots_cli.learning.episodes import MAX_STEPS, EpisodeLog, Statistics
-from deepbots_cli.learning.failures import BatchFailureRecorder, FailureRecorder
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.report import Reporter, reporter
 from deepbots_cli.learning.run import (
@@ -48,12 +47,13 @@ from deepbots_cli.learning.run import (
 from deepbots_cli.learning.sb3 import algorithms, plugins
 from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.learning.sb3.logs import TrainingLog
+from deepbots_cli.learning.shards import THIS_PROCESS, Placement
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout import Episode
-from deepbots_cli.rollout.collector import LocalCollector
+from deepbots_cli.rollout.collector import Collector, Harvest, LocalCollector, ShardedCollector
 from deepbots_cli.rollout.source import Source, SourceKind
-from deepbots_cli.rollout.worlds import BatchWorlds, Worlds
+from deepbots_cli.rollout.worlds import Worlds
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
 
@@ -75,6 +75,7 @@ def train(
     command: Sequence[str] = (),
     engine: str | None = None,
     build: WorldFactory | None = None,
+    placement: Placement = THIS_PROCESS,
     on_start: Callable[[Path], object] = lambda run: None,
 ) -> TrainingResult:
     """Train the policy of a scenario in a new run directory.
@@ -99,6 +100,7 @@ def train(
         command: The command line, for the record.
         engine: The physics engine. By default the engine of the scenario; if it names none, `pybullet`, or the first installed engine.
         build: Function that makes a world of the scenario, in place of the generated supervisor.
+        placement: Where the shards of the training run; the result does not depend on it.
         on_start: Called with the run directory once it exists.
 
     Raises:
@@ -152,7 +154,7 @@ def train(
         if source is not None:
             shutil.copyfile(source.model("best"), new.model("initial"))
         on_start(path)
-        return run_training(new, training, Checkpoints(new, learners.class_of(training).State), build, reporter(progress))
+        return run_training(new, training, Checkpoints(new, learners.class_of(training).State), build, reporter(progress), placement)
 
 
 def resume(
@@ -165,6 +167,7 @@ def resume(
     progress: bool | Reporter = False,
     permissions: Permissions = Permissions(),
     build: WorldFactory | None = None,
+    placement: Placement = THIS_PROCESS,
 ) -> TrainingResult:
     """Continue a run from its last checkpoint, in the same directory.
 
@@ -223,7 +226,7 @@ def resume(
         }
         known.record = record.model_copy(update=changes)  # written once the checkpoint is restored
         build = build or supervisor_factory(record.engine, permissions=permissions)
-        return run_training(known, training, checkpoints, build, reporter(progress), before=record)
+        return run_training(known, training, checkpoints, build, reporter(progress), placement, before=record)
 
 
 def _training_of(program: Program, total_timesteps: int | None, callbacks: Sequence[str] = ()) -> Training:
@@ -253,7 +256,9 @@ def _validate_setup(program: Program, training: Training, build: WorldFactory, s
         build(stage.program).close()
     with closing(build(program)) as world:
         worlds = Worlds([world] * training.environments, [0] * training.environments)
-        learner = _create(training, program, worlds, 0)
+        learner = _create(training, program, LocalCollector(worlds), 0)
+        if training.shards > 1:
+            learner.actor()
         if source is None:
             return None
         found = learner.initialize(source.model("best"))
@@ -265,13 +270,19 @@ def _validate_setup(program: Program, training: Training, build: WorldFactory, s
         )
 
 
-def _create(training: Training, program: Program, worlds: Worlds, seed: int) -> Learner:
-    spaces = worlds.observation_space, worlds.action_space
-    return learners.create(Setup(training, *spaces, seed, training.total_timesteps, longest_episode(program), LocalCollector(worlds)))
+def _create(training: Training, program: Program, collector: Collector, seed: int) -> Learner:
+    spaces = collector.observation_space, collector.action_space
+    return learners.create(Setup(training, *spaces, seed, training.total_timesteps, longest_episode(program), collector))
 
 
 def run_training(
-    run: Run, training: Training, checkpoints: Checkpoints, build: WorldFactory, reporter: Reporter, before: RunRecord | None = None
+    run: Run,
+    training: Training,
+    checkpoints: Checkpoints,
+    build: WorldFactory,
+    reporter: Reporter,
+    placement: Placement,
+    before: RunRecord | None = None,
 ) -> TrainingResult:
     """One process's share in a run, from its last checkpoint to the goal.
 
@@ -299,8 +310,12 @@ def run_training(
         with ExitStack() as stack:
             stack.enter_context(algorithms.torch_settings())
             stack.callback(callback.evaluator.close)
-            worlds = make_training_env(stack, run, training, build, callback, checkpoints, reporter)
-            learner = _create(training, run.program, worlds, derive_seed(run.record.seed, "policy"))
+            episode_log = EpisodeLog(run.monitor, run.program.name)
+            checkpoints.on_restored.append(episode_log.open)
+            stack.callback(episode_log.close)
+            counter = TrainingCounter(callback, episode_log, reporter)
+            collector = make_collector(stack, run, training, build, counter, checkpoints, reporter, placement)
+            learner = _create(training, run.program, collector, derive_seed(run.record.seed, "policy"))
             learner.log = log = TrainingLog(run)
             callback.attach(learner, log)
             checkpoints.attach(callback, learner, log)
@@ -369,79 +384,62 @@ def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoint
     return known
 
 
-def make_training_env(
+class TrainingCounter:
+    """Counts the steps and episodes of a training, and writes the log of its episodes."""
+
+    def __init__(self, callback: TrainingCallback, log: EpisodeLog, reporter: Reporter) -> None:
+        self._callback, self._statistics, self._log, self._reporter = callback, callback.statistics, log, reporter
+
+    def present(self) -> tuple[int, int, int]:
+        return self._statistics.steps, self._statistics.next_episode, self._callback.curriculum.index
+
+    def on_row(self) -> None:
+        self._statistics.steps += 1
+
+    def on_episode(self, episode: Episode, stage: int, drawn: Mapping[str, Any]) -> None:
+        statistics, curriculum = self._statistics, self._callback.curriculum
+        is_present = stage == curriculum.index
+        statistics.add(episode, present=is_present)
+        self._log.write(episode, statistics, curriculum.name_of(stage), drawn)
+        if is_present and curriculum.add(episode, statistics.steps, statistics.episodes):
+            self._callback.begin_stage()
+
+    def on_harvest(self, harvest: Harvest) -> None:
+        self._statistics.cpu_seconds_before += harvest.cpu_seconds
+        for note in harvest.notes:
+            self._reporter.note(note)
+
+
+def make_collector(
     stack: ExitStack,
     run: Run,
     training: Training,
     build: WorldFactory,
-    callback: TrainingCallback,
+    counter: TrainingCounter,
     checkpoints: Checkpoints,
     reporter: Reporter,
-) -> Worlds:
-    """The worlds, which report to the statistics and the episode log; all closed with `stack`."""
-    statistics, curriculum, stages = callback.statistics, callback.curriculum, checkpoints.stages
-    log = EpisodeLog(run.monitor, run.program.name)
-    checkpoints.on_restored.append(log.open)
-    stack.callback(log.close)
+    placement: Placement,
+) -> Collector:
+    """The worlds of a training, in shards if it has several; all closed with `stack`."""
+    stages = checkpoints.stages
     if not stages:
-        stages.extend([curriculum.index] * training.environments)
-
-    def count_step() -> None:
-        statistics.steps += 1
-
-    def count_episode(index: int, episode: Episode) -> None:
-        present = stages[index] == curriculum.index
-        statistics.add(episode, present=present)
-        log.write(episode, statistics, curriculum.name_of(stages[index]), env.drawn[index])
-        if present and curriculum.add(episode, statistics.steps, statistics.episodes):
-            callback.begin_stage()
-
-    next_seed = partial(_enter_stage, run, curriculum, stages)
-
-    def next_world(index: int) -> tuple[FailureRecorder, int] | None:
-        seed = next_seed(index)
-        if seed is None:
-            return None
-        worlds[index] = guarded(curriculum.index)
-        return worlds[index], seed
-
-    def guarded(stage: int) -> FailureRecorder:
-        scenario = curriculum.scenario_of(stage)
-        return FailureRecorder(build(scenario), run, scenario, episode=lambda: statistics.next_episode, stage=curriculum.name_of(stage))
-
-    def close() -> None:
-        for world in worlds:
-            world.close()
-
-    worlds: list[FailureRecorder] = []
-    stack.callback(close)
-    seeds = [derive_seed(run.record.seed, "environment", i) for i in range(len(stages))]
-    env: Worlds
-    if not reasons_against_batch(run.program, len(stages), run.record.engine, build):
-        recorder = BatchFailureRecorder(run, guarded, statistics, curriculum, reporter)
-        env = BatchWorlds(
-            lambda stage: build_batch(curriculum.scenario_of(stage), len(stages), engine=run.record.engine),
-            seeds,
-            stages,
-            on_step=count_step,
-            on_episode=count_episode,
-            next_seed=next_seed,
-            recorder=recorder,
-        )
-        stack.callback(env.close)
-    else:
-        for stage in stages:
-            worlds.append(guarded(stage))
-        env = Worlds(worlds, seeds, on_step=count_step, on_episode=count_episode, next_world=next_world)
-    return env
-
-
-def _enter_stage(run: Run, curriculum: Curriculum, stages: list[int], world: int) -> int | None:
-    """Let a world enter the present stage; the seed that it begins there with, or None if it is there already."""
-    if stages[world] == curriculum.index:
-        return None
-    stages[world] = curriculum.index
-    return derive_seed(run.record.seed, "environment", world, "stage", curriculum.index)
+        stages.extend([counter.present()[2]] * training.environments)
+    if training.shards > 1:
+        agents = stack.enter_context(closing(build(run.program)))
+        pool = placement.shards(stack, run, training, build, reporter.note)
+        sizes = [len(numbers) for numbers in shards.world_numbers(training)]
+        seeds = [shards.world_seed(run, world) for world in range(training.environments)]
+        return ShardedCollector(pool, seeds, stages, sizes, Worlds([agents], [0]).agents, counter)
+    plan = shards.WorldPlan(run, build, range(training.environments), stages, lambda: counter.present()[2])
+    worlds = shards.make_worlds(
+        stack,
+        plan,
+        on_step=counter.on_row,
+        on_episode=counter.on_episode,
+        next_episode=lambda: counter.present()[1],
+        note=reporter.note,
+    )
+    return LocalCollector(worlds)
 
 
 def learn_until_done(

@@ -444,6 +444,10 @@ class Training:
     replay: Hindsight | None = None
     normalize: Literal["reward"] | None = None
     device: Literal["auto", "cpu", "cuda"] = "cpu"
+    shards: int = 1
+
+    def digest_fields(self) -> dict[str, object]:
+        return {name: value for name, value in vars(self).items() if name != "shards" or value > 1}
 
 
 # Agent

@@ -1,24 +1,26 @@
 """Experience for a learner, fragment by fragment.
 
-A `Collector` returns the next fragment for the learner: the rows of some steps, the episodes that ended, and the state from which a shard
-continues. `LocalCollector` steps worlds in this process. A shard is the worlds of one collector; shards in other processes or on other
-machines are another implementation of the same interface. On-policy algorithms take any collector. The experience does not depend on where
-shards run, because:
+A `Collector` returns the next fragment for the learner: the rows of some steps, and the episodes that ended. `LocalCollector` steps worlds
+in this process. `ShardedCollector` gathers the fragments of shards: each steps some of the worlds with its own copy of the policy, in this
+process or in another one (`ShardPool`). The experience does not depend on where shards run, because:
 
-- The worlds of a shard have their own seeds and random streams, and a shard acts with its own copy of the policy.
+- The worlds of a shard have their own seeds and random streams. The policy of a shard draws from generators that are seeded anew for each
+  fragment, with the number of the shard and of the steps before.
 - Fragments are joined by the number of their shard (`join`), never by the order in which they arrive.
-- A shard returns its `ShardState`: the start and the actions of each running episode. Another shard can continue from it exactly.
+- The collector knows how each running episode began, and its actions. Another shard can continue from there exactly.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from operator import itemgetter
+from typing import Any, NamedTuple, Protocol, cast
 
 import gymnasium as gym
 import numpy as np
 
+from deepbots_cli.rollout.episode import Episode
 from deepbots_cli.rollout.worlds import Array, Ending, Worlds, WorldsStep, observation_digest
 from deepbots_cli.runtime.batch import EpisodeHistory
 from deepbots_cli.runtime.spaces import by_part
@@ -33,6 +35,29 @@ class Decision(NamedTuple):
 
 Actor = Callable[[Any, Array, Array | None], Decision]
 """Acts on the observations of all rows, given which rows begin an episode, and which options are allowed (None: all)."""
+
+
+class PolicyActor(Protocol):
+    """An actor with the policy of a learner, of which shards have copies."""
+
+    def __call__(self, observations: Any, starts: Array, masks: Array | None) -> Decision: ...
+
+    def begin(self) -> None:
+        """Called before each fragment."""
+
+    def parameters(self) -> Mapping[str, Any]:
+        """What copies in shards must have in common with it: weights, and numbers such as the rate of exploration."""
+
+    def memory(self) -> Mapping[str, Array]:
+        """What the policy remembers between two fragments: arrays with a row for each agent."""
+
+    def load(self, parameters: Mapping[str, Any]) -> None:
+        """Take over the parameters of another actor."""
+
+    def remember(self, memory: Mapping[str, Array]) -> None:
+        """Take over a memory."""
+
+
 OnStep = Callable[[WorldsStep], bool]
 """Called after each step of all rows; returns whether to continue."""
 
@@ -95,6 +120,15 @@ class LocalCollector:
         self.starts = np.ones(self.rows, bool)
         """Whether an episode begins with the observations that the agents act on next."""
 
+    @property
+    def agents(self) -> Sequence[Any]:
+        """The agent of each row."""
+        return self.worlds.agents
+
+    def action_masks(self) -> Array | None:
+        """Which options are allowed in each row; None where the worlds do not say."""
+        return self.worlds.action_masks()
+
     def begin(self) -> Any:
         """The observations that the agents act on next; the first episodes begin if none has."""
         return self.worlds.reset() if self.worlds.observations is None else self.worlds.observations
@@ -103,7 +137,7 @@ class LocalCollector:
         observations, starts = self.begin(), self.starts
         seen, decisions, rewards, begun, endings = [], [], [], [], []
         for number in range(steps):
-            decision = actor(observations, starts, self.worlds.action_masks() if with_masks else None)
+            decision = actor(observations, starts, self.action_masks() if with_masks else None)
             seen.append(observations)
             decisions.append(decision)
             begun.append(starts)
@@ -126,9 +160,13 @@ class LocalCollector:
     def state(self) -> ShardState:
         return ShardState(self.worlds.histories(), observation_digest(self.worlds.observations))
 
+    def repeat(self, episodes: Sequence[EpisodeHistory]) -> Any:
+        """Go on from the running episode of each world; the observations."""
+        self.starts = np.repeat([not episode.actions for episode in episodes], self.rows // len(episodes))
+        return self.worlds.repeat(episodes)
+
     def restore(self, state: ShardState, seeds: Sequence[int]) -> bool:
-        self.starts = np.repeat([not episode.actions for episode in state.episodes], self.rows // len(state.episodes))
-        if observation_digest(self.worlds.repeat(state.episodes)) == state.observed:
+        if observation_digest(self.repeat(state.episodes)) == state.observed:
             return True
         self.worlds.starts = list(seeds)
         self.worlds.reset()
@@ -163,3 +201,217 @@ def join(fragments: Sequence[Fragment]) -> Fragment:
 def _joined(join_arrays: Callable[[Sequence[Any]], Any], observations: Sequence[Any]) -> Any:
     """Observations joined array by array."""
     return by_part(lambda *parts: join_arrays(parts), *observations)
+
+
+# Shards
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a shard is asked for: `steps` of each row.
+
+    Attributes:
+        parameters: Those of the actor.
+        begun: Steps of the training before the fragment, summed over all rows.
+        next_episode: The number of the next episode of the training, from 1.
+        stage: The number of the present stage of the curriculum.
+        with_masks: Whether the actor wants to know which options are allowed.
+    """
+
+    parameters: Mapping[str, Any]
+    steps: int
+    begun: int
+    next_episode: int
+    stage: int
+    with_masks: bool
+
+
+@dataclass(frozen=True)
+class Harvest:
+    """What a shard returns for an order.
+
+    Attributes:
+        fragment: The experience of its rows.
+        memory: That of its actor after the fragment.
+        ended: Of each ending of the fragment: the stage of the episode, and what it drew.
+        begun: Of each world that has begun another episode, by its number in the shard: how this one began, and its stage.
+        notes: What the user should know, such as lost episodes.
+        cpu_seconds: CPU time, if the shard runs in another process.
+    """
+
+    fragment: Fragment
+    memory: Mapping[str, Array]
+    ended: Sequence[tuple[int, Mapping[str, Any]]]
+    begun: Mapping[int, tuple[int | dict[str, Any], int]]
+    notes: Sequence[str] = ()
+    cpu_seconds: float = 0.0
+
+
+class RunningEpisode(NamedTuple):
+    """The running episode of a world, and the stage of the curriculum that it belongs to; `actions` has the shape (steps, ...)."""
+
+    start: int | dict[str, Any]
+    actions: Array
+    stage: int
+
+    @property
+    def history(self) -> EpisodeHistory:
+        return EpisodeHistory(self.start, list(self.actions))
+
+
+class ShardPool(Protocol):
+    """The shards of a training, wherever they run."""
+
+    def begin(self, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Any]:
+        """Bring the worlds of each shard to the end of these episodes; the observations of each shard."""
+
+    def collect(self, order: Order, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]) -> list[Harvest]:
+        """The harvest of each shard, from `episodes` on, which are those after the last harvest."""
+
+
+class ShardListener(Protocol):
+    """The training, which counts what shards have collected."""
+
+    def present(self) -> tuple[int, int, int]:
+        """Steps so far, the number of the next episode, and the number of the present stage of the curriculum."""
+
+    def on_row(self) -> None:
+        """Called for each row of each step."""
+
+    def on_episode(self, episode: Episode, stage: int, drawn: Mapping[str, Any]) -> None:
+        """Called for each episode, in the order of steps and rows."""
+
+    def on_harvest(self, harvest: Harvest) -> None:
+        """Called for each harvest, before its episodes are counted."""
+
+
+class ShardedCollector:
+    """Gathers the fragments of shards, and then counts their steps and episodes as if all worlds were in this process.
+
+    Args:
+        pool: The shards.
+        seeds: The seed of the first episode of each world; worlds belong to shards in the order of their numbers.
+        stages: The stage that each world is in; it is kept up to date.
+        sizes: The number of worlds of each shard.
+        agents: The agents of a world in this process, which computes the rewards of hindsight.
+        listener: The training.
+    """
+
+    def __init__(
+        self,
+        pool: ShardPool,
+        seeds: Sequence[int],
+        stages: list[int],
+        sizes: Sequence[int],
+        agents: Sequence[Any],
+        listener: ShardListener,
+    ) -> None:
+        self._pool, self._listener, self._sizes, self._stages = pool, listener, sizes, stages
+        self.agents = agents
+        self._anew(seeds)
+        self._width = len(agents)
+        self.rows = self._width * len(seeds)
+        self.observation_space, self.action_space = agents[0].observation_space, agents[0].action_space
+        self.starts = np.ones(self.rows, bool)
+        self._observations: Any = None
+        self._replay: Iterator[WorldsStep] = iter(())
+
+    def _anew(self, seeds: Sequence[int]) -> None:
+        """Let new episodes begin."""
+        self.episodes = [RunningEpisode(seed, np.array([]), stage) for seed, stage in zip(seeds, self._stages, strict=True)]
+
+    def _by_shard(self, items: Any, width: int = 1) -> list[Any]:
+        """Items of worlds, or of rows with `width` rows for each world, for each shard."""
+        ends = np.cumsum(self._sizes) * width
+        return [items[end - size * width : end] for size, end in zip(self._sizes, ends, strict=True)]
+
+    def begin(self) -> Any:
+        """The observations that the agents act on next; the first episodes begin if none has."""
+        if self._observations is None:
+            self._observations = self._begun()
+        return self._observations
+
+    def _begun(self) -> Any:
+        self.starts = np.repeat([not len(episode.actions) for episode in self.episodes], self._width)
+        return _joined(np.concatenate, self._pool.begin(self._by_shard(self.episodes)))
+
+    def fetch(self, actor: PolicyActor, steps: int, *, with_masks: bool = False) -> Fragment:
+        """The next `steps` of every row, which `step_all` then counts one by one."""
+        self.begin()
+        memory = {name: self._by_shard(array, self._width) for name, array in actor.memory().items()}
+        memories = [{name: parts[shard] for name, parts in memory.items()} for shard in range(len(self._sizes))]
+        begun, next_episode, stage = self._listener.present()
+        order = Order(actor.parameters(), steps, begun, next_episode, stage, with_masks)
+        harvests = self._pool.collect(order, memories, self._by_shard(self.episodes))
+        actor.remember({name: np.concatenate([harvest.memory[name] for harvest in harvests]) for name in memory})
+        for harvest in harvests:
+            self._listener.on_harvest(harvest)
+        fragment = join([harvest.fragment for harvest in harvests])
+        self._note_episodes(fragment, harvests)
+        self._replay = self._steps(fragment, _details(harvests))
+        return fragment
+
+    def _note_episodes(self, fragment: Fragment, harvests: Sequence[Harvest]) -> None:
+        """Keep how the running episode of each world began, and its actions."""
+        begun = [harvest.begun.get(world) for harvest, size in zip(harvests, self._sizes, strict=True) for world in range(size)]
+        for world, beginning in enumerate(begun):
+            first = world * self._width
+            actions = fragment.actions[:, first : first + self._width] if self._width > 1 else fragment.actions[:, first]
+            if beginning is None:
+                before = self.episodes[world]
+                actions = np.concatenate([before.actions, actions]) if len(before.actions) else actions
+                self.episodes[world] = before._replace(actions=actions)
+            else:
+                starts = np.flatnonzero(np.append(fragment.starts[:, first], fragment.following_starts[first]))
+                self.episodes[world] = RunningEpisode(beginning[0], actions[starts[-1] :], beginning[1])
+        self._stages[:] = [episode.stage for episode in self.episodes]
+
+    def _steps(self, fragment: Fragment, details: Sequence[tuple[int, Mapping[str, Any]]]) -> Iterator[WorldsStep]:
+        """The steps of a fragment in their order; each is counted when it is asked for."""
+        endings = iter([*zip(fragment.endings, details, strict=True)])
+        upcoming = next(endings, None)
+        for number in range(len(fragment.rewards)):
+            is_last = number + 1 == len(fragment.rewards)
+            here: list[Ending] = []
+            for row in range(self.rows):
+                self._listener.on_row()
+                if upcoming is not None and (upcoming[0][0], upcoming[0][1].row) == (number, row):
+                    (_, ending), (stage, drawn) = upcoming
+                    self._listener.on_episode(ending.episode, stage, drawn)
+                    here.append(ending)
+                    upcoming = next(endings, None)
+            self.starts = fragment.following_starts if is_last else fragment.starts[number + 1]
+            self._observations = fragment.following if is_last else by_part(itemgetter(number + 1), fragment.observations)
+            yield WorldsStep(self._observations, fragment.rewards[number], self.starts, [{}] * self.rows, here)
+
+    def step_all(self, actions: Any) -> WorldsStep:
+        """The next step of the fragment that was fetched; the worlds have acted already."""
+        return next(self._replay)
+
+    def collect(self, actor: Actor, steps: int, on_step: OnStep = lambda step: True, *, with_masks: bool = False) -> Fragment | None:
+        """As of a `Collector`; the actor is a `PolicyActor`."""
+        fragment = self.fetch(cast(PolicyActor, actor), steps, with_masks=with_masks)
+        return fragment if all(on_step(step) for step in self._replay) else None
+
+    def state(self) -> ShardState:
+        return ShardState([episode.history for episode in self.episodes], observation_digest(self.begin()))
+
+    def restore(self, state: ShardState, seeds: Sequence[int]) -> bool:
+        for world, (start, actions) in enumerate(state.episodes):
+            self.episodes[world] = RunningEpisode(start, np.array(actions), self.episodes[world].stage)
+        self._observations = self._begun()
+        if observation_digest(self._observations) == state.observed:
+            return True
+        self._anew(seeds)
+        self._observations = self._begun()
+        return False
+
+
+def _details(harvests: Sequence[Harvest]) -> list[tuple[int, Mapping[str, Any]]]:
+    """Stage and drawn values of each ending, in the order of the endings of the joined fragment."""
+    found = [
+        (number, shard, ending.row, detail)
+        for shard, harvest in enumerate(harvests)
+        for (number, ending), detail in zip(harvest.fragment.endings, harvest.ended, strict=True)
+    ]
+    return [detail for *_, detail in sorted(found, key=lambda entry: entry[:3])]

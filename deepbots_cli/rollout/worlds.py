@@ -181,6 +181,10 @@ class Worlds:
         """The running episode of each world, enough to bring it back."""
         return [world.history for world in self.worlds]
 
+    def start_of(self, world: int) -> int | dict[str, Any]:
+        """How the running episode of a world began, as in its history."""
+        return self.worlds[world].history.start
+
     def repeat(self, histories: Sequence[EpisodeHistory]) -> Any:
         """Bring the worlds back to the moment at which `histories` were taken; the observations, which are the same if the physics is."""
         self._accumulators = [EpisodeAccumulator() for _ in self._accumulators]
@@ -416,6 +420,9 @@ class BatchWorlds(Worlds):
     def histories(self) -> list[EpisodeHistory]:
         running = {stage: episodes.batch.snapshot() for stage, episodes in self._batches.items()}
         return [running[stage][world] for world, stage in enumerate(self.stages)]
+
+    def start_of(self, world: int) -> int | dict[str, Any]:
+        return self._batch_of(self.stages[world]).start_of(world)
 
     def repeat(self, histories: Sequence[EpisodeHistory]) -> Any:
         for stage in dict.fromkeys(self.stages):

@@ -414,6 +414,10 @@ class BatchSupervisor(_BatchPart, ABC):
         begun = enumerate(zip(self._starts, self._first, strict=True))
         return [EpisodeHistory(start, [by_part(itemgetter(w), each) for each in self._actions[first:]]) for w, (start, first) in begun]
 
+    def start_of(self, world: int) -> int | dict[str, Any]:
+        """How the running episode of a world began."""
+        return self._starts[world]
+
     def restore(self, episodes: Sequence[EpisodeHistory], on_step: Callable[[Column], None] = lambda acting: None) -> Any:
         """Bring the worlds back to the moment of a snapshot, exactly: each episode begins again and repeats its actions.
 

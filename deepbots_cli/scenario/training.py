@@ -71,6 +71,8 @@ class Training(Section):
     """Number of steps to train for, summed over all environments."""
     environments: Annotated[int, WholeNumber(1, 1024)] = 1
     """Number of copies of the environment that run at the same time."""
+    shards: Annotated[int, WholeNumber(1, 256)] = 1
+    """Number of groups into which the environments are divided, each with a copy of the policy."""
     network: Annotated[PolicyNetwork, InsteadOf("policy")] = Field(default_factory=PolicyNetwork)
     """The network of the policy."""
     normalize: Literal["reward"] | None = None

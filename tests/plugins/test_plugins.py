@@ -301,6 +301,8 @@ def test_a_learner_of_a_plugin_is_trained_evaluated_killed_and_resumed_by_the_sa
     assert evaluated[0]["mean_return"] == evaluated[1]["mean_return"] > 60  # random actions come to about 20
     refusal = deepbots(site, "train", "cem.yaml", "--run", "refused", "--set", "train.normalize=reward")
     assert "CrossEntropy does not normalize rewards" in refusal.stderr
+    refusal = deepbots(site, "train", "cem.yaml", "--run", "refused", "--shards", "2")
+    assert "CrossEntropy does not support shards; leave out `shards` under `train`" in refusal.stderr
     refusal = deepbots(site, "train", "cem.yaml", "--run", "refused", "--callback", "impatient")
     assert "callbacks work only with the built-in algorithms; leave out --callback to train with CrossEntropy" in refusal.stderr
     assert not (site / "refused").exists()

@@ -16,8 +16,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.cli import records, terminal
-from deepbots_cli.cli.command import ADVANCED, MAX_SEED, OUTPUT, Engine, Json, Overrides, integer, option, seed_list
+from deepbots_cli.cli import processes, records, terminal
+from deepbots_cli.cli.command import (
+    ADVANCED,
+    MAX_SEED,
+    OUTPUT,
+    PROCESSES,
+    ClusterAddress,
+    Engine,
+    Json,
+    Overrides,
+    Workers,
+    integer,
+    option,
+    seed_list,
+)
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
@@ -31,6 +44,7 @@ from deepbots_cli.rollout.source import Source, SourceKind
 if TYPE_CHECKING:
     from deepbots_cli.learning import TrainingResult
     from deepbots_cli.learning.group import GroupTraining
+    from deepbots_cli.learning.shards import Placement
     from deepbots_cli.program import Program
 
 _PAGE_FRAME_RATE = 10
@@ -76,6 +90,18 @@ def command(
             ADVANCED,
         ),
     ] = None,
+    shards: Annotated[
+        int | None,
+        integer(
+            "--shards N",
+            "Divide the environments into N groups, each with a copy of the policy; by default `train.shards`. It changes the result.",
+            1,
+            256,
+            PROCESSES,
+        ),
+    ] = None,
+    workers: Workers = None,
+    address: ClusterAddress = None,
     engine: Engine = None,
     to_view: Annotated[
         bool, option("--view", "Show the newest policy in the browser while it is trained, as `deepbots view RUN` does.", OUTPUT)
@@ -97,6 +123,7 @@ def command(
       deepbots train cartpole --timesteps 200k --full --run runs/long
       deepbots train find_ball_random --stage crowded
       deepbots train find_ball --view
+      deepbots train pit_escape --shards 2 --workers 2
       deepbots train --resume runs/cartpole-0-1 --timesteps 200k
       deepbots train --resume runs/cartpole-seeds-1
       deepbots train longer_pole.yaml --initialize-from runs/cartpole-0-1
@@ -109,17 +136,23 @@ def command(
     `--logger csv` appends every scalar of TensorBoard to logs/scalars.csv of the run. A resumed run keeps its callbacks and loggers.
     --callback replaces the callbacks, and --logger the loggers; `--callback none` or `--logger none` drops them.
 
+    --shards divides the environments of one training. With --workers, the shards run in processes of this machine, and with --cluster
+    on a Ray cluster. Weights and logs depend on the number of shards, and not on where they run. If a process is lost, its shards repeat
+    the last steps in another one.
+
     --seeds trains a group: one folder with a run for each seed, one after the other. --resume of a group skips finished seeds.
 
     Next: `deepbots view RUN` shows the policy, and `deepbots render RUN -o video.mp4` makes a video of it.
     """
     progress = not quiet
     if resume is not None:
-        made_with = (scenario, overrides, seed, seeds, run, stage, engine, permissions.folders or None, keep_checkpoints, initialize_from)
+        folders = permissions.folders or None
+        made_with = (scenario, overrides, seed, seeds, run, stage, engine, folders, keep_checkpoints, initialize_from, shards)
         if any(option is not None for option in made_with):
             raise UsageError(
                 "--resume continues with the scenario and options of the run;"
-                " only these options can be added: --timesteps, --full, --callback, --logger, --quiet, --allow-code, --json"
+                " only these options can be added: --timesteps, --full, --callback, --logger, --workers,"
+                " --cluster, --quiet, --allow-code, --json"
             )
         changes: dict[str, Any] = {"total_timesteps": timesteps, "stop_when_solved": False if full else None, "permissions": permissions}
         changes |= {"callbacks": _names(callbacks), "loggers": _names(loggers), "progress": progress}
@@ -127,9 +160,9 @@ def command(
             group = learning.resume_group(resume, on_seed=None if quiet else _announce_seed, **changes)
             _finish_group(group, quiet=quiet, as_json=as_json, permissions=permissions)
             return
-        with _page(wanted=to_view, permissions=permissions) as show_page:
+        with _page(wanted=to_view, permissions=permissions) as show_page, _placement(workers, address, quiet=quiet) as placement:
             show_page(resume)
-            result = learning.resume(resume, **changes)
+            result = learning.resume(resume, placement=placement, **changes)
     elif scenario is None:
         raise UsageError("there is no scenario to train; name one, such as: deepbots train cartpole")
     elif seeds is not None and seed is not None:
@@ -138,7 +171,9 @@ def command(
         raise UsageError(f"--run: {run} already exists; choose another directory, because runs are not overwritten")
     else:
         listed = None if seeds is None else seed_list(seeds)
-        compiled = api.compile(scenario, overrides=with_engine(overrides, engine), permissions=permissions)
+        changed = [*with_engine(overrides, engine), *([] if shards is None else [f"train.shards={shards}"])]
+        compiled = api.compile(scenario, overrides=changed, permissions=permissions)
+        _check_workers(compiled.program, workers, address)
         terminal.note_warnings(compiled.findings, scenario)
         settings: dict[str, Any] = {
             "total_timesteps": timesteps,
@@ -161,9 +196,25 @@ def command(
             group = learning.train_group(compiled, listed, group=run, on_seed=None if quiet else _announce_seed, **settings)
             _finish_group(group, quiet=quiet, as_json=as_json, permissions=permissions)
             return
-        with _page(wanted=to_view, permissions=permissions) as show_page:
-            result = train(compiled, run=run, seed=seed or 0, on_start=show_page, **settings)
+        with _page(wanted=to_view, permissions=permissions) as show_page, _placement(workers, address, quiet=quiet) as placement:
+            result = train(compiled, run=run, seed=seed or 0, on_start=show_page, placement=placement, **settings)
     _finish(result, quiet=quiet, as_json=as_json, permissions=permissions)
+
+
+def _check_workers(program: Program, workers: int | None, address: str | None) -> None:
+    """Raises: UsageError: There are workers, but only one shard."""
+    option = "--workers" if workers is not None else "--cluster" if address is not None else None
+    if option is not None and program.agent.training is not None and program.agent.training.shards == 1:
+        raise UsageError(f"{option} has nothing to divide, since the training has one shard; add --shards N")
+
+
+@contextmanager
+def _placement(workers: int | None, address: str | None, *, quiet: bool) -> Iterator[Placement]:
+    """Where the shards of a training run."""
+    from deepbots_cli.learning.shards import THIS_PROCESS  # which imports torch
+
+    with processes.cluster(workers, address, quiet=quiet) as found:
+        yield found or THIS_PROCESS
 
 
 def _names(given: list[str] | None) -> list[str] | None:

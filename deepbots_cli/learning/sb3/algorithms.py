@@ -172,10 +172,10 @@ def takes_masks(model: BaseAlgorithm) -> bool:
 
 
 def collects_as_usual(training: Training, model: BaseAlgorithm) -> bool:
-    """Whether the algorithm is on-policy and has the rollouts of the built-in one that it is or is derived from."""
+    """Whether the algorithm has the rollouts of the built-in one that it is or is derived from."""
     algorithm = _entry(training.algorithm)
     usual: Any = _imported(ALGORITHMS[algorithm.base()])
-    return algorithm.on_policy and type(model).collect_rollouts is usual.collect_rollouts  # type: ignore[attr-defined]
+    return type(model).collect_rollouts is usual.collect_rollouts  # type: ignore[attr-defined]
 
 
 def check(training: Training) -> None:

@@ -14,14 +14,14 @@ import numpy.typing as npt
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from deepbots_cli.rollout.collector import LocalCollector
+from deepbots_cli.rollout.collector import LocalCollector, ShardedCollector
 from deepbots_cli.rollout.worlds import Worlds, WorldsStep
 
 
 class CollectorEnvironment(VecEnv):
     """Steps the worlds of a collector, which are closed by whoever made them."""
 
-    def __init__(self, collector: LocalCollector) -> None:
+    def __init__(self, collector: LocalCollector | ShardedCollector) -> None:
         self.collector = collector
         super().__init__(collector.rows, collector.observation_space, collector.action_space)
 
@@ -51,7 +51,11 @@ class CollectorEnvironment(VecEnv):
             agent.set_wrapper_attr(attr_name, value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any) -> list[Any]:
-        if method_name == "action_masks" and (masks := self.collector.worlds.action_masks()) is not None:  # a batch has its own
+        if (
+            method_name == "action_masks"
+            and isinstance(self.collector, LocalCollector)
+            and (masks := self.collector.action_masks()) is not None
+        ):  # a batch has its own
             return [masks[index] for index in self._get_indices(indices)]
         return [agent.get_wrapper_attr(method_name)(*method_args, **method_kwargs) for agent in self._agents(indices)]
 
@@ -59,8 +63,8 @@ class CollectorEnvironment(VecEnv):
         return [False for _ in self._agents(indices)]
 
     def _agents(self, indices: VecEnvIndices) -> list[Any]:
-        agents = self.collector.worlds.agents
-        return [agents[index] for index in self._get_indices(indices)]
+        agents = self.collector.agents
+        return [agents[index % len(agents)] for index in self._get_indices(indices)]  # with shards, one world stands for all
 
 
 def as_returned(step: WorldsStep) -> VecEnvStepReturn:

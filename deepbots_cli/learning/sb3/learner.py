@@ -2,7 +2,8 @@
 
 On-policy algorithms take fragments of a collector (`rollouts.py`). Off-policy algorithms step the worlds by their own `collect_rollouts`,
 which draws noise, stores steps and counts episodes in ways of its own; a fragment is what they collect between two updates. So do
-algorithms of other packages that have a `collect_rollouts` of their own.
+algorithms of other packages that have a `collect_rollouts` of their own. With shards, the fragment is fetched first, and
+`collect_rollouts` then steps through it.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from deepbots_cli.learning.sb3 import algorithms, models, networks, rollouts, st
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment, as_returned, spaces_only
 from deepbots_cli.learning.sb3.logs import encoded, number_of
 from deepbots_cli.program.task import Training
-from deepbots_cli.rollout.collector import LocalCollector
+from deepbots_cli.rollout.collector import Fragment, LocalCollector, PolicyActor, ShardedCollector
 from deepbots_cli.rollout.worlds import WorldsStep
 
 SCALAR_WINDOW_STEPS = 256
@@ -45,8 +46,8 @@ class StableLearner(Learner):
         self.setup = setup
         self.check(setup.training)
         self._collector = collector = setup.collector
-        env: Any = spaces_only(setup.observation_space, setup.action_space, 1 if collector is None else collector.rows)
-        if isinstance(collector, LocalCollector):
+        env: Any = spaces_only(setup.observation_space, setup.action_space, setup.rows if collector is None else collector.rows)
+        if isinstance(collector, LocalCollector | ShardedCollector):
             env = CollectorEnvironment(collector)
         if collector is not None and setup.training.normalize is not None:
             gamma: Any = next((h.value for h in setup.training.hyperparameters if h.name == "gamma"), 0.99)
@@ -58,12 +59,15 @@ class StableLearner(Learner):
             total_timesteps=setup.total_timesteps,
             longest_episode=setup.longest_episode,
             to_learn=setup.collector is not None,
-            mixin=_SavesPlainly,
+            mixin=_RepeatsActions if isinstance(collector, ShardedCollector) else _SavesPlainly,
         )
         self.takes_masks = algorithms.takes_masks(self.model)
         self.confirms = isinstance(self.model, OffPolicyAlgorithm)
-        self._by_fragments = algorithms.collects_as_usual(setup.training, self.model)
-        if not (self._by_fragments or collector is None or isinstance(collector, LocalCollector)):
+        self._by_fragments = not self.confirms and algorithms.collects_as_usual(setup.training, self.model)
+        self._actor = rollouts.ExplorationActor(self.model) if self.confirms else rollouts.RolloutActor(self.model)
+        if isinstance(collector, ShardedCollector):
+            self.actor()
+        elif not (self._by_fragments or collector is None or isinstance(collector, LocalCollector)):
             raise UsageError(f"{setup.training.algorithm} needs its worlds in the training process")
         self._followers: Sequence[BaseCallback] = ()
         if collector is None:
@@ -84,15 +88,26 @@ class StableLearner(Learner):
         self._followers = followers
         callbacks = [_MonitorCallback(monitor), *followers]
         self._total, self._callback = self.model._setup_learn(total, callbacks if followers else callbacks[0])
+        if self.confirms:  # now with noise for each row
+            self._actor = rollouts.ExplorationActor(self.model)
         self._log_interval = signature(type(self.model).learn).parameters["log_interval"].default
 
     def start(self) -> None:
         self._callback.on_training_start({"self": self.model, "total_timesteps": self._total, "callback": self._callback}, {})
 
+    def actor(self) -> PolicyActor:
+        if not algorithms.collects_as_usual(self.setup.training, self.model):
+            raise UsageError(f"{self.setup.training.algorithm} collects experience in a way of its own, which shards do not support")
+        return self._actor
+
     def collect(self) -> bool:
         model = self.model
         with models.overflow_explained():
             if self.confirms:
+                shards = self._collector if isinstance(self._collector, ShardedCollector) else None
+                if shards is not None:
+                    model.recorded = shards.fetch(self._actor, model.train_freq.frequency)
+                    memory = self._actor.memory()
                 self._rollout: RolloutReturn = model.collect_rollouts(
                     model.env,
                     train_freq=model.train_freq,
@@ -102,12 +117,14 @@ class StableLearner(Learner):
                     replay_buffer=model.replay_buffer,
                     log_interval=self._log_interval,
                 )
+                if shards is not None:  # at the end of an episode, the library has reset the noise of the next one
+                    self._actor.remember(memory)
                 return bool(self._rollout.continue_training)
             if self._collector is None or not self._by_fragments:
                 return bool(model.collect_rollouts(model.env, self._callback, model.rollout_buffer, n_rollout_steps=model.n_steps))
-            actor = rollouts.RolloutActor(model)
+            self._actor.begin()
             self._callback.on_rollout_start()
-            fragment = self._collector.collect(actor, model.n_steps, self._on_step, with_masks=self.takes_masks)
+            fragment = self._collector.collect(self._actor, model.n_steps, self._on_step, with_masks=self.takes_masks)
             if fragment is None:
                 return False
             rollouts.fill(model, fragment)
@@ -282,6 +299,18 @@ class _SavesPlainly:
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         models.save(path if path.suffix else path.with_suffix(".zip"), self)  # type: ignore[arg-type]  # of the algorithm
+
+
+class _RepeatsActions(_SavesPlainly):
+    """An off-policy algorithm whose shards have acted already; `recorded` is the fragment through which it steps."""
+
+    recorded: Fragment
+    _repeated = 0
+
+    def _sample_action(self, *_: Any) -> tuple[Array, Array]:
+        step = self._repeated % len(self.recorded.actions)
+        self._repeated += 1
+        return self.recorded.actions[step], self.recorded.columns["stored"][step]
 
 
 class _MonitorCallback(BaseCallback):

@@ -1,26 +1,34 @@
-"""On-policy rollouts from fragments: an actor, and the rollout buffer filled with what it collected.
+"""Rollouts from fragments: actors, and the rollout buffer filled with what an actor collected.
 
-Both do what `collect_rollouts` of the library does, with the same random numbers in the same order, so that weights are equal to the bit.
+They do what `collect_rollouts` of the library does, with the same random numbers in the same order, so that weights are equal to the bit.
 """
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import torch
 from gymnasium import spaces
+from stable_baselines3.common.noise import VectorizedActionNoise
 from stable_baselines3.common.utils import obs_as_tensor
 from stable_baselines3.common.vec_env import VecTransposeImage
 
+from deepbots_cli.learning.sb3 import networks
+from deepbots_cli.learning.sb3.algorithms import DecayingNoise
 from deepbots_cli.rollout.collector import Decision, Fragment
 from deepbots_cli.rollout.worlds import Array
 
+_ACTING_NETWORKS = ("actor", "q_net")
+"""What of the policy of an off-policy algorithm chooses actions."""
+_EXPLORATION = ("_current_progress_remaining", "exploration_rate", "learning_starts")
 _LSTM_BUFFERS = ("hidden_states_pi", "cell_states_pi", "hidden_states_vf", "cell_states_vf")
 
 
 class RolloutActor:
-    """Acts with the policy of PPO, A2C, MaskablePPO or RecurrentPPO for one fragment.
+    """Acts with the policy of PPO, A2C, MaskablePPO or RecurrentPPO.
 
     The columns of a fragment are `action` before it is clipped, `values`, `log_probs`, `masks` where options are forbidden, and the state
     of a recurrent policy before each step.
@@ -30,9 +38,12 @@ class RolloutActor:
         self._model = model
         self._is_recurrent = hasattr(model, "_last_lstm_states")
         self._step = 0
-        model.policy.set_training_mode(False)
-        if model.use_sde:
-            model.policy.reset_noise(model.n_envs)
+
+    def begin(self) -> None:
+        self._step = 0
+        self._model.policy.set_training_mode(False)
+        if self._model.use_sde:
+            self._model.policy.reset_noise(self._model.n_envs)
 
     def __call__(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
         model, policy = self._model, self._model.policy
@@ -44,15 +55,13 @@ class RolloutActor:
         with torch.no_grad():
             seen = obs_as_tensor(_prepared(model, observations), model.device)
             if self._is_recurrent:
-                before = model._last_lstm_states
-                actions, values, log_probs, model._last_lstm_states = policy(seen, before, _floats(model, starts))
-                columns |= {
-                    name: part.cpu().numpy().swapaxes(0, 1) for name, part in zip(_LSTM_BUFFERS, [*before.pi, *before.vf], strict=True)
-                }
+                columns |= self.memory()
+                actions, values, log_probs, model._last_lstm_states = policy(seen, model._last_lstm_states, _floats(model, starts))
             else:
                 if masks is not None:
                     options["action_masks"] = columns["masks"] = masks
-                actions, values, log_probs = policy(seen, **options)
+                drawn = networks.sampled_actions(policy, seen) if isinstance(seen, torch.Tensor) and masks is None else None
+                actions, values, log_probs = policy(seen, **options) if drawn is None else drawn
         taken = actions = actions.cpu().numpy()
         if isinstance(model.action_space, spaces.Box):
             if policy.squash_output and not self._is_recurrent:
@@ -61,6 +70,91 @@ class RolloutActor:
                 taken = np.clip(actions, model.action_space.low, model.action_space.high)
         columns |= {"action": actions, "values": values.cpu().numpy().flatten(), "log_probs": log_probs.cpu().numpy()}
         return Decision(taken, columns)
+
+    def parameters(self) -> Mapping[str, Any]:
+        return _weights(self._model)
+
+    def load(self, parameters: Mapping[str, Any]) -> None:
+        _load_weights(self._model, parameters)
+
+    def memory(self) -> Mapping[str, Array]:
+        if not self._is_recurrent:
+            return {}
+        state = self._model._last_lstm_states
+        return {name: part.cpu().numpy().swapaxes(0, 1) for name, part in zip(_LSTM_BUFFERS, [*state.pi, *state.vf], strict=True)}
+
+    def remember(self, memory: Mapping[str, Array]) -> None:
+        if self._is_recurrent:
+            parts = [torch.tensor(memory[name].swapaxes(0, 1), device=self._model.device) for name in _LSTM_BUFFERS]
+            states = type(self._model._last_lstm_states)
+            self._model._last_lstm_states = states((parts[0], parts[1]), (parts[2], parts[3]))
+
+
+class ExplorationActor:
+    """Acts with the policy of an off-policy algorithm, and explores: with noise, with random actions, or with an entropy.
+
+    The column of a fragment is `stored`, the action as the replay buffer keeps it.
+    """
+
+    def __init__(self, model: Any) -> None:
+        self._model = model
+        self._noise = model.action_noise
+        if self._noise is not None and model.n_envs > 1 and not isinstance(self._noise, VectorizedActionNoise):
+            self._noise = VectorizedActionNoise(self._noise, model.n_envs)
+        self._noises: list[DecayingNoise] = [] if self._noise is None else list(getattr(self._noise, "noises", [self._noise]))
+        self._step, self._first_step, self._rows = 0, 0, model.n_envs
+
+    def begin(self) -> None:
+        self._step = 0
+        self._model.policy.set_training_mode(False)
+        if self._model.use_sde:
+            self._model.actor.reset_noise(self._model.n_envs)
+
+    def __call__(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
+        model = self._model
+        for noise in itertools.compress(self._noises, starts):
+            noise.reset()
+        if model.use_sde and model.sde_sample_freq > 0 and self._step % model.sde_sample_freq == 0:
+            model.actor.reset_noise(model.n_envs)
+        model.num_timesteps = self._first_step + self._step * self._rows
+        model._last_obs = _prepared(model, observations)
+        self._step += 1
+        actions, stored = model._sample_action(model.learning_starts, self._noise, model.n_envs)
+        return Decision(actions, {"stored": stored})
+
+    def parameters(self) -> Mapping[str, Any]:
+        model = self._model
+        numbers = {name: getattr(model, name) for name in (*_EXPLORATION, "num_timesteps", "n_envs") if hasattr(model, name)}
+        return numbers | {name: array for name, array in _weights(model).items() if name.partition(".")[0] in _ACTING_NETWORKS}
+
+    def load(self, parameters: Mapping[str, Any]) -> None:
+        for name in _EXPLORATION:
+            if name in parameters:
+                setattr(self._model, name, parameters[name])
+        self._first_step, self._rows = parameters["num_timesteps"], parameters["n_envs"]
+        _load_weights(self._model, parameters)
+
+    def memory(self) -> Mapping[str, Array]:
+        """The drift of the noise of each row; NaN where there is none."""
+        if not self._noises:
+            return {}
+        nothing = np.full(self._model.action_space.shape, np.nan)
+        return {"drift": np.stack([nothing if noise.drift is None else noise.drift for noise in self._noises])}
+
+    def remember(self, memory: Mapping[str, Array]) -> None:
+        for noise, drift in zip(self._noises, memory.get("drift", ()), strict=True):
+            noise.drift = None if np.isnan(drift).any() else np.array(drift)
+
+
+def _weights(model: Any) -> dict[str, Array]:
+    return {name: tensor.detach().cpu().numpy() for name, tensor in model.policy.state_dict().items()}
+
+
+def _load_weights(model: Any, weights: Mapping[str, Any]) -> None:
+    with torch.no_grad():
+        for name, tensor in model.policy.state_dict().items():
+            if name in weights:
+                tensor.copy_(torch.from_numpy(np.array(weights[name])))
 
 
 def fill(model: Any, fragment: Fragment) -> None:

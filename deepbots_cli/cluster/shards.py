@@ -1,0 +1,264 @@
+"""The shards of a training as Ray actors.
+
+A worker has one or more shards. When it is lost, alone or with its node, its shards continue on another worker from the end of the last
+fragment, and repeat what was lost of the present one: the same numbers. A node that joins later gets a worker with the next fragment.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from shlex import quote
+from typing import Any, NamedTuple
+
+import deepbots_cli
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import DeepbotsError, RunError, UsageError
+from deepbots_cli.learning.run import Run, versions
+from deepbots_cli.rollout.collector import Harvest, Order, RunningEpisode
+from deepbots_cli.rollout.worlds import Array
+
+MAX_LOSSES = 3
+"""Workers that may be lost in one fragment of a shard."""
+_READY_TIMEOUT_S = 60.0
+"""How long shards wait for a new worker while others could take them."""
+_LIBRARIES = ("numpy", "torch", "stable-baselines3", "pybullet", "mujoco")
+"""Libraries on whose versions the numbers depend."""
+
+
+class Beginning(NamedTuple):
+    """What a worker needs to make a shard: the numbers of its worlds, the running episode of each, and the permissions of the training."""
+
+    worlds: Sequence[int]
+    episodes: Sequence[RunningEpisode]
+    permissions: Permissions
+
+
+class ShardWorker:
+    """An actor with shards of one training."""
+
+    def __init__(self, run: Path, number: int) -> None:
+        _write_output_to(run / "workers" / f"{number}.log")
+        from deepbots_cli.learning.sb3.algorithms import torch_settings
+
+        torch_settings().__enter__()  # for the life of this process
+        self._path = run
+        self._shards: dict[int, Any] = {}
+
+    def describe(self) -> dict[str, str]:
+        """Where it runs and with what; `digest` is that of the scenario of the run, empty if this process does not see the run."""
+        try:
+            digest = Run.open(self._path).digest
+        except DeepbotsError:
+            digest = ""
+        return {"host": socket.gethostname(), **_versions(), "digest": digest}
+
+    def work(self, number: int, beginning: Beginning | None, order: Order | None, memory: Mapping[str, Array]) -> Any:
+        """Make a shard if there is a `beginning`, and return the observations, or the harvest for an order.
+
+        An error that ends the training is returned, since Ray would add a traceback to it.
+        """
+        from deepbots_cli.learning.environments import supervisor_factory
+        from deepbots_cli.learning.shards import Shard
+
+        began = time.process_time()
+        try:
+            seen = None
+            if beginning is not None:
+                if number not in self._shards:
+                    run = Run.open(self._path)
+                    build = supervisor_factory(run.record.engine, permissions=beginning.permissions)
+                    self._shards[number] = Shard(run, build, number, beginning.worlds)
+                seen = self._shards[number].begin(beginning.episodes)
+            if order is None:
+                return seen
+            return replace(self._shards[number].collect(order, memory), cpu_seconds=time.process_time() - began)
+        except DeepbotsError as error:
+            return error
+
+
+def _versions() -> dict[str, str]:
+    return {"deepbots": deepbots_cli.__version__, **{name: text for name, text in versions().items() if name in _LIBRARIES}}
+
+
+def _write_output_to(path: Path) -> None:
+    """Write standard output and error of this process into a file."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    with suppress(OSError):  # a folder that is not shared is refused in words, after `describe`
+        path.parent.mkdir(exist_ok=True)
+        log = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        os.dup2(log, 1)
+        os.dup2(log, 2)
+        os.close(log)
+
+
+class RemoteShards:
+    """The shards of a training on workers.
+
+    Args:
+        run: The run, in a folder that all workers see.
+        permissions: Those of the training.
+        worlds: The numbers of the worlds of each shard.
+        workers: The largest number of workers.
+        note: Called with what the user should know, such as a lost worker.
+    """
+
+    def __init__(
+        self, run: Run, permissions: Permissions, worlds: Sequence[Sequence[int]], workers: int, note: Callable[[str], None]
+    ) -> None:
+        self._run, self._permissions, self._worlds, self._note = run, permissions, worlds, note
+        self._wanted = min(workers, len(worlds))
+        self._workers: dict[int, Any] = {}
+        self._homes: list[int | None] = [None] * len(worlds)
+        """The worker of each shard; None after this was lost."""
+        self._new: set[int] = set()
+        """The shards that have to begin on their worker."""
+        self._started = 0
+
+    def begin(self, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Any]:
+        self._homes = [None] * len(self._worlds)
+        return self._work(None, [{} for _ in self._worlds], episodes)
+
+    def collect(self, order: Order, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]) -> list[Harvest]:
+        return self._work(order, memories, episodes)
+
+    def close(self) -> None:
+        import ray
+
+        for worker in self._workers.values():
+            ray.kill(worker)
+
+    def _work(
+        self, order: Order | None, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]
+    ) -> list[Any]:
+        """The answers of all shards, each on its worker. Lost workers are replaced."""
+        import ray
+
+        self._find_homes()
+        shared = ray.put(order)
+        answers: dict[int, Any] = {}
+        losses: Counter[int] = Counter()
+        waiting: dict[Any, int] = {}
+
+        def ask(shard: int, *, anew: bool) -> None:
+            beginning = Beginning(self._worlds[shard], episodes[shard], self._permissions) if anew else None
+            waiting[self._worker_of(shard).work.remote(shard, beginning, shared, memories[shard])] = shard
+
+        new, self._new = self._new, set()
+        for shard in range(len(self._worlds)):
+            ask(shard, anew=shard in new)
+        while waiting:
+            (ready, *_), _ = ray.wait(list(waiting))
+            shard = waiting.pop(ready)
+            try:
+                answer = ray.get(ready)
+            except ray.exceptions.RayTaskError:
+                raise
+            except ray.exceptions.RayError as error:
+                lost = self._homes[shard]
+                unfinished = sorted([shard, *(other for other in waiting.values() if self._homes[other] == lost)])
+                waiting = {call: other for call, other in waiting.items() if other not in unfinished}
+                losses[unfinished[0]] += 1  # a worker works on its shards in the order of their numbers
+                self._forget(lost)
+                if losses[unfinished[0]] == MAX_LOSSES:
+                    raise self._too_many_losses(unfinished[0], order, lost) from error
+                self._find_homes()
+                for other in unfinished:
+                    self._new.discard(other)
+                    ask(other, anew=True)
+                continue
+            if isinstance(answer, DeepbotsError):
+                raise answer
+            answers[shard] = answer
+        return [answers[shard] for shard in range(len(self._worlds))]
+
+    # Workers
+
+    def _worker_of(self, shard: int) -> Any:
+        home = self._homes[shard]
+        if home is None:
+            raise RuntimeError(f"shard {shard} has no worker")
+        return self._workers[home]
+
+    def _find_homes(self) -> None:
+        """Give each shard a worker: new workers start while the cluster has room, and all have about as many shards."""
+        self._start_workers()
+        load = Counter(dict.fromkeys(self._workers, 0))
+        load.update(home for home in self._homes if home is not None)
+        for shard, home in enumerate(self._homes):
+            busiest, idlest = max(load, key=lambda worker: load[worker]), min(load, key=lambda worker: load[worker])
+            if home is None or (home == busiest and load[busiest] > load[idlest] + 1):
+                if home is not None:
+                    load[home] -= 1
+                load[idlest] += 1
+                self._homes[shard] = idlest
+                self._new.add(shard)
+
+    def _start_workers(self) -> None:
+        """Start the workers that are missing, if the cluster has room for them; without any, wait for room.
+
+        Raises:
+            UsageError: A worker does not see the run, or has other versions.
+        """
+        import ray
+
+        missing = self._wanted - len(self._workers)
+        if not missing:
+            return
+        free = int(ray.available_resources().get("CPU", 0))
+        actor = ray.remote(ShardWorker).options(num_cpus=1, max_restarts=0, max_task_retries=0, scheduling_strategy="SPREAD")
+        waiting = {}
+        for _ in range(min(missing, free) if self._workers else max(1, min(missing, free))):
+            number, self._started = self._started, self._started + 1
+            worker = actor.remote(self._run.path.absolute(), number)
+            waiting[worker.describe.remote()] = (number, worker)
+        if not self._workers and not free:
+            self._note("waiting for a free CPU in the cluster")
+        if not self._workers:
+            ray.wait(list(waiting))
+        ready, late = ray.wait(list(waiting), num_returns=len(waiting), timeout=_READY_TIMEOUT_S) if waiting else ((), ())
+        for call in late:  # its node was lost, or is busy with something else
+            ray.kill(waiting[call][1])
+        for call in ready:
+            number, worker = waiting[call]
+            with suppress(ray.exceptions.RayActorError):  # it is lost already
+                self._check(ray.get(call))
+                self._workers[number] = worker
+        if not self._workers:
+            self._start_workers()
+
+    def _check(self, there: dict[str, str]) -> None:
+        """Compare a worker with this process."""
+        host, digest = there.pop("host"), there.pop("digest")
+        if not digest:
+            raise UsageError(f"the worker on {host} does not see {self._run.path.absolute()}; train in a folder that all nodes share")
+        for name, version in _versions().items():
+            if there.get(name) != version:
+                raise UsageError(f"the worker on {host} has {name} {there.get(name, 'not installed')}, but this process has {version}")
+        if digest != self._run.digest:
+            raise UsageError(f"the worker on {host} compiles the scenario to a different program; install the same version of deepbots")
+
+    def _forget(self, lost: int | None) -> None:
+        """A worker is lost: its shards have no home."""
+        if lost is not None and self._workers.pop(lost, None) is not None:
+            self._note(f"worker {lost} was lost; its shards continue on another worker")
+        self._homes = [None if home == lost else home for home in self._homes]
+
+    def _too_many_losses(self, shard: int, order: Order | None, worker: int | None) -> RunError:
+        steps = 0 if order is None else order.begun
+        error = RunError(
+            f"shard {shard} ended its worker {MAX_LOSSES} times in the steps after {steps:,}; {self._log(worker)} has its last output"
+        )
+        error.add_note(f"to repeat these steps in one process: deepbots train --resume {quote(str(self._run.path))}")
+        return error
+
+    def _log(self, worker: int | None) -> Path:
+        return self._run.path / "workers" / f"{worker}.log"

@@ -1,0 +1,251 @@
+"""The worlds of a training, and shards: groups of these worlds, each with a copy of the policy.
+
+The worlds of a training stand in this process (`make_worlds`), or belong to shards. A `Shard` needs nothing but the run directory and the
+numbers of its worlds, so it can be made in any process that sees this directory. `LocalShards` has its shards in this process.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, replace
+from itertools import accumulate, pairwise
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+
+from deepbots_cli.api import build_batch
+from deepbots_cli.errors import UsageError
+from deepbots_cli.learning import learner as learners
+from deepbots_cli.learning.curriculum import Curriculum
+from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch
+from deepbots_cli.learning.failures import BatchFailureRecorder, FailureRecorder
+from deepbots_cli.learning.learner import Setup
+from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.sb3.defaults import longest_episode
+from deepbots_cli.program.task import Training
+from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.collector import Harvest, LocalCollector, Order, PolicyActor, RunningEpisode, ShardPool
+from deepbots_cli.rollout.worlds import Array, BatchWorlds, Worlds
+from deepbots_cli.runtime.streams import derive_seed
+
+
+@dataclass(frozen=True)
+class WorldPlan:
+    """Which worlds of a training are made: those with these `numbers`, each in a stage of the curriculum.
+
+    `stages` changes when a world begins an episode of another stage, which is `present()` then.
+    """
+
+    run: Run
+    build: WorldFactory
+    numbers: Sequence[int]
+    stages: list[int]
+    present: Callable[[], int]
+
+
+def world_seed(run: Run, world: int) -> int:
+    """The seed of the first episode of a world."""
+    return derive_seed(run.record.seed, "environment", world)
+
+
+def make_worlds(
+    stack: ExitStack,
+    plan: WorldPlan,
+    *,
+    on_step: Callable[[], None],
+    on_episode: Callable[[Episode, int, Mapping[str, Any]], None],
+    next_episode: Callable[[], int],
+    note: Callable[[str], None],
+) -> Worlds:
+    """The worlds of a plan, which are closed with `stack`.
+
+    Args:
+        on_step: Called after the step of each row.
+        on_episode: Called after each episode of a row, with its stage and the values that it drew.
+        next_episode: Returns the number of the next episode of the training, for failures.
+        note: Called with what the user should know.
+    """
+    run, stages = plan.run, plan.stages
+    curriculum = Curriculum(run.program, run.record.first_stage)
+    engine = run.record.engine
+    seeds = [world_seed(run, number) for number in plan.numbers]
+
+    def guarded(stage: int) -> FailureRecorder:
+        scenario = curriculum.scenario_of(stage)
+        return FailureRecorder(plan.build(scenario), run, scenario, episode=next_episode, stage=curriculum.name_of(stage))
+
+    def end(world: int, episode: Episode) -> None:
+        on_episode(episode, stages[world], env.drawn[world])
+
+    def next_seed(world: int) -> int | None:
+        """Let a world enter the present stage; the seed that it begins there with, or None if it is there already."""
+        if stages[world] == plan.present():
+            return None
+        stages[world] = plan.present()
+        return derive_seed(run.record.seed, "environment", plan.numbers[world], "stage", stages[world])
+
+    def next_world(world: int) -> tuple[FailureRecorder, int] | None:
+        seed = next_seed(world)
+        return None if seed is None else (guarded(stages[world]), seed)
+
+    env: Worlds
+    if not reasons_against_batch(run.program, len(seeds), engine, plan.build):
+        recorder = BatchFailureRecorder(run, guarded, next_episode, curriculum, note)
+        env = BatchWorlds(
+            lambda stage: build_batch(curriculum.scenario_of(stage), len(seeds), engine=engine),
+            seeds,
+            stages,
+            on_step=on_step,
+            on_episode=end,
+            next_seed=next_seed,
+            recorder=recorder,
+        )
+    else:
+        with ExitStack() as partly:  # closes what is there when one of them cannot be built
+            worlds = [partly.enter_context(closing(guarded(stage))) for stage in stages]
+            partly.pop_all()
+        env = Worlds(worlds, seeds, on_step=on_step, on_episode=end, next_world=next_world)
+    stack.callback(env.close)
+    return env
+
+
+class Shard:
+    """Some worlds of a training with a copy of its policy.
+
+    Args:
+        run: The run.
+        build: Makes a world.
+        number: That of the shard, from 0.
+        worlds: The numbers of its worlds.
+    """
+
+    def __init__(self, run: Run, build: WorldFactory, number: int, worlds: Sequence[int]) -> None:
+        training = run.program.agent.training
+        if training is None:
+            raise UsageError(f"{run.program.name} has no `train` section")
+        self._training = replace(training, device="cpu")  # which computes the same on every machine of a kind
+        self._run, self._build, self._number, self._numbers = run, build, number, worlds
+        self._stack = ExitStack()
+        self._ended: list[tuple[int, Mapping[str, Any]]] = []
+        self._notes: list[str] = []
+        self._stage, self._next_episode = 0, 1
+        self._actor: PolicyActor | None = None
+
+    def begin(self, episodes: Sequence[RunningEpisode]) -> Any:
+        """Bring the worlds to the end of these episodes; the observations."""
+        self._stack.close()
+        self._stages = [episode.stage for episode in episodes]
+        plan = WorldPlan(self._run, self._build, self._numbers, self._stages, lambda: self._stage)
+        worlds = make_worlds(
+            self._stack,
+            plan,
+            on_step=lambda: None,
+            on_episode=lambda episode, stage, drawn: self._ended.append((stage, drawn)),
+            next_episode=lambda: self._next_episode,
+            note=self._notes.append,
+        )
+        self._collector = LocalCollector(worlds)
+        if self._actor is None:
+            self._action_space = worlds.action_space
+            with _random_numbers_kept():
+                self._actor = self._make_actor(worlds)
+        return self._collector.repeat([episode.history for episode in episodes])
+
+    def _make_actor(self, worlds: Worlds) -> PolicyActor:
+        """A copy of the policy, for the rows of these worlds."""
+        setup = Setup(
+            self._training,
+            worlds.observation_space,
+            worlds.action_space,
+            total_timesteps=self._training.total_timesteps,
+            longest_episode=longest_episode(self._run.program),
+            rows=worlds.rows,
+        )
+        return learners.create(setup).actor()
+
+    def collect(self, order: Order, memory: Mapping[str, Array]) -> Harvest:
+        """Collect experience for an order; `memory` is that of the rows of this shard."""
+        if self._actor is None:
+            raise RuntimeError("a shard collects after it has begun")
+        self._stage, self._next_episode = order.stage, order.next_episode
+        self._ended.clear()
+        self._notes.clear()
+        self._actor.load(order.parameters)
+        self._actor.remember(memory)
+        with _random_numbers_kept():
+            self._seed(derive_seed(self._run.record.seed, "shard", self._number, order.begun))
+            self._actor.begin()
+            fragment = self._collector.collect(self._actor, order.steps, with_masks=order.with_masks)
+        if fragment is None:
+            raise RuntimeError("nothing can end a fragment of a shard")
+        worlds, rows = self._collector.worlds, self._collector.rows // len(self._numbers)
+        has_begun = fragment.starts[1:].any(axis=0) | fragment.following_starts
+        begun = {world: (worlds.start_of(world), self._stages[world]) for world in np.flatnonzero(has_begun[::rows]).tolist()}
+        return Harvest(fragment, self._actor.memory(), list(self._ended), begun, list(self._notes))
+
+    def _seed(self, seed: int) -> None:
+        """Seed all generators that a policy draws from; no shard needs to keep their states between two fragments."""
+        torch.default_generator.manual_seed(seed)
+        np.random.seed(seed % 2**32)
+        random.seed(seed)
+        self._action_space.seed(seed)
+
+    def close(self) -> None:
+        self._stack.close()
+
+
+@contextmanager
+def _random_numbers_kept() -> Iterator[None]:
+    """The generators of this process go on after the block as if nothing had been drawn in it."""
+    states = torch.get_rng_state(), np.random.get_state(), random.getstate()
+    try:
+        yield
+    finally:
+        torch.set_rng_state(states[0])
+        np.random.set_state(states[1])
+        random.setstate(states[2])
+
+
+class LocalShards:
+    """Shards in this process, one after the other."""
+
+    def __init__(self, shards: Sequence[Shard]) -> None:
+        self._shards = shards
+
+    def begin(self, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Any]:
+        return [shard.begin(own) for shard, own in zip(self._shards, episodes, strict=True)]
+
+    def collect(self, order: Order, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]) -> list[Harvest]:
+        return [shard.collect(order, memory) for shard, memory in zip(self._shards, memories, strict=True)]
+
+    def close(self) -> None:
+        for shard in self._shards:
+            shard.close()
+
+
+def world_numbers(training: Training) -> list[range]:
+    """The worlds of each shard. If the shards differ in size, the first ones have one world more."""
+    ends = [number * training.environments // training.shards for number in range(training.shards + 1)]
+    sizes = sorted((end - begin for begin, end in pairwise(ends)), reverse=True)
+    ends = [0, *accumulate(sizes)]
+    return [range(begin, end) for begin, end in pairwise(ends)]
+
+
+class Placement(Protocol):
+    """Where shards run."""
+
+    def shards(self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Callable[[str], None]) -> ShardPool:
+        """The shards of a training, which end with `stack`; `note` is called with what the user should know."""
+
+
+class _ThisProcess:
+    def shards(self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Callable[[str], None]) -> ShardPool:
+        pool = LocalShards([Shard(run, build, number, worlds) for number, worlds in enumerate(world_numbers(training))])
+        stack.callback(pool.close)
+        return pool
+
+
+THIS_PROCESS: Placement = _ThisProcess()

@@ -1,0 +1,131 @@
+"""Shards of a training on workers: the same weights and logs as in this process, also after a worker was lost."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import signal
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.cluster import Cluster
+from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.learning import resume, train
+from deepbots_cli.learning.report import Reporter, TrainingProgress
+from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.shards import THIS_PROCESS, Placement
+
+pytest.importorskip("ray")
+CASES = {
+    "PPO": ("cartpole", ["train.n_steps=64"], 1_200),
+    "PPO, normalized rewards": ("pit_escape", ["train.environments=4"], 8_192),
+    "PPO on a batch": ("cartpole", ["world.engine=mujoco", "train.environments=32", "train.n_steps=16"], 8_192),
+    "TD3, curriculum": ("find_ball_random", ["train.environments=4", "train.learning_starts=400"], 1_200),
+    "SAC": ("cartpole_continuous", ["train.environments=4"], 2_000),
+}
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Cluster]:
+    with Cluster(workers=2) as found:
+        yield found
+
+
+def outcome(folder: Path) -> tuple[Any, ...]:
+    """What a training has made, to the bit; without times."""
+    run = Run.open(folder)
+    assert run.record.result is not None
+    with run.monitor.open(newline="") as file:
+        next(file)
+        rows = [{name: value for name, value in row.items() if name != "t"} for row in csv.DictReader(file)]
+    log = run.evaluations / "training.jsonl"
+    return run.record.result.weights_digest, rows, log.read_text() if log.exists() else "", run.record.result.inexact
+
+
+def trained(name: str, folder: Path, placement: Placement, shards: int = 2, progress: Reporter | bool = False) -> tuple[Any, ...]:
+    scenario, changes, steps = CASES[name]
+    compiled = api.compile(scenario, overrides=[*changes, f"train.shards={shards}"])
+    train(compiled, run=folder, total_timesteps=steps, placement=placement, progress=progress)
+    return outcome(folder)
+
+
+def workers() -> list[int]:
+    """The processes of shards."""
+    found = subprocess.run(["pgrep", "-f", "ray::ShardWorker"], capture_output=True, text=True, check=False)
+    return [int(pid) for pid in found.stdout.split()]
+
+
+class At(Reporter):
+    """Does something once, after some steps."""
+
+    def __init__(self, steps: int, act: Callable[[], None]) -> None:
+        self.steps, self.act, self.is_done = steps, act, False
+        self.notes: list[str] = []
+
+    def update(self, progress: TrainingProgress) -> None:
+        if progress.steps >= self.steps and not self.is_done:
+            self.is_done = True
+            self.act()
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+
+def test_workers_give_the_same_as_this_process_also_after_one_was_lost(cluster: Cluster, tmp_path: Path) -> None:
+    kill = At(400, lambda: os.kill(workers()[0], signal.SIGKILL))
+    assert trained("PPO", tmp_path / "workers", cluster, progress=kill) == trained("PPO", tmp_path / "here", THIS_PROCESS)
+    assert any("was lost; its shards continue" in note for note in kill.notes)
+    assert (tmp_path / "workers" / "workers" / "0.log").is_file()
+    assert not workers()  # they end with the training
+
+
+def test_a_ray_of_our_own_listens_on_the_loopback_only(cluster: Cluster) -> None:
+    found = subprocess.run(["pgrep", "-f", "deepbots-.*ray|ray.*deepbots-|ray::"], capture_output=True, text=True, check=True)
+    ours = {str(os.getpid()), *found.stdout.split()}
+    listening = subprocess.run(["ss", "-ltnpH"], capture_output=True, text=True, check=True).stdout.splitlines()
+    addresses = [line.split()[3] for line in listening if ours & set(re.findall(r"pid=(\d+)", line))]
+    assert addresses
+    assert {address.rpartition(":")[0] for address in addresses} <= {"127.0.0.1", "[::ffff:127.0.0.1]", "[::1]"}
+
+
+@pytest.mark.slow
+def test_a_worker_with_another_scenario_is_refused(cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here, since this process believes in another version of deepbots."""
+    monkeypatch.setattr("deepbots_cli.__version__", "99.0")
+    with pytest.raises(UsageError, match=r"the worker on .* has deepbots .*, but this process has 99\.0"):
+        trained("PPO", tmp_path / "run", cluster)
+
+
+def test_an_address_at_which_nobody_answers_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"nobody answers at 127\.0\.0\.1:9"), Cluster(address="127.0.0.1:9"):
+        pass
+    with pytest.raises(UsageError, match="is no address of a Ray cluster"), Cluster(address="nowhere"):
+        pass
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shards", [2, 4])
+@pytest.mark.parametrize("name", list(CASES))
+def test_so_do_all_algorithms(cluster: Cluster, tmp_path: Path, name: str, shards: int) -> None:
+    assert trained(name, tmp_path / "workers", cluster, shards) == trained(name, tmp_path / "here", THIS_PROCESS, shards)
+
+
+@pytest.mark.slow
+def test_an_episode_that_always_kills_its_worker_ends_the_training(cluster: Cluster, tmp_path: Path) -> None:
+    class KillEach(At):
+        def note(self, text: str) -> None:
+            super().note(text)
+            if "was lost" in text:
+                os.kill(workers()[-1], signal.SIGKILL)
+
+    kill = KillEach(400, lambda: os.kill(workers()[0], signal.SIGKILL))
+    with pytest.raises(RunError, match="ended its worker 3 times in the steps after"):
+        trained("PPO", tmp_path / "run", cluster, progress=kill)
+    resume(tmp_path / "run")
+    assert outcome(tmp_path / "run") == trained("PPO", tmp_path / "here", THIS_PROCESS)
