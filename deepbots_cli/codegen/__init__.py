@@ -15,7 +15,6 @@ match `[a-z_][a-z0-9_]*`, quoted strings and comments.
 
 from __future__ import annotations
 
-import ast
 import linecache
 import re
 from collections.abc import Iterator
@@ -61,6 +60,8 @@ calls `_advance`, which observes. `add` does not change worlds whose episode has
 of each single world in turn.
 """
 _NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
+# The group is empty for what is no name: quotes, comments, numbers, attributes and the keywords of calls.
+_NAME_IN_CODE = re.compile(r'"(?:[^"\\]|\\.)*"|#.*|[.\d]\w*|\w+=(?!=)|([A-Za-z_]\w*)')
 
 
 @lru_cache(maxsize=16)
@@ -85,7 +86,7 @@ def generate_module(scenario: Program, target: str = "scalar") -> str:
     constants = Constants()
     chosen = SCALAR if on_floats else BATCH
     classes = _classes(scenario, constants, chosen)
-    used = {node.id for node in ast.walk(ast.parse("\n".join([*constants.lines, *classes]))) if isinstance(node, ast.Name)}
+    used = set(_NAME_IN_CODE.findall("\n".join([*constants.lines, *classes])))
     used_math = sorted((math_names() if on_floats else _NUMBERS) & used)
     lines = fill_template(
         _MODULE,

@@ -12,6 +12,7 @@ import math
 import re
 import textwrap
 from collections.abc import Hashable, Iterable, Iterator, Sequence
+from functools import lru_cache
 
 from deepbots_cli.expressions.functions import FUNCTIONS, OPERATORS
 from deepbots_cli.expressions.lower import number_code
@@ -215,6 +216,8 @@ def constants_tuple_code(items: Sequence[str]) -> str:
 
 # From loose to tight; a line is broken at all operators of the first group that it has.
 _OPERATORS = ((" if ", " else "), (" or ",), (" and ",), (" < ", " <= ", " > ", " >= ", " == ", " != "), (" + ", " - "), (" * ", " / "))
+_BRACKET_OR_QUOTED = re.compile(r'"(?:[^"\\]|\\.)*"|[][(){}]', re.DOTALL)
+_DEEPER = dict.fromkeys("([{", 1) | dict.fromkeys(")]}", -1)
 # Of a statement, or of the piece of a line that was broken before: the operator in front, the comma behind.
 _STATEMENT = re.compile(r"(?P<head>(?:(?:if|elif|else|return|or|and|[-+*/]) )?)(?P<body>.*?)(?P<tail>[:,]?)", re.DOTALL)
 
@@ -286,23 +289,27 @@ def _split(code: str, sign: str) -> list[str]:
 
 def _places(code: str, sign: str) -> Iterator[int]:
     """The offsets of `sign` outside of brackets and quotes."""
-    return (index for index, depth in _depths(code) if depth == 0 and code.startswith(sign, index))
+    return (found.start() for found in re.finditer(re.escape(sign), _outside(code))) if sign in code else iter(())
+
+
+@lru_cache(maxsize=16)
+def _outside(code: str) -> str:
+    """The code with a zero for each character in brackets or quotes: a line is searched for about ten signs."""
+    pieces, depth, end = [], 0, 0
+    for found in _BRACKET_OR_QUOTED.finditer(code):
+        between = code[end : found.start()]
+        pieces += [between if depth == 0 else "\0" * len(between), "\0" * len(found[0])]
+        depth, end = depth + _DEEPER.get(found[0], 0), found.end()
+    return "".join([*pieces, "" if depth else code[end:]])
 
 
 def _groups(code: str) -> Iterator[tuple[int, int]]:
     """The offsets at which outermost brackets open and close."""
-    start = 0
-    for index, depth in _depths(code):
-        if depth == 0 and code[index] in "([{":
-            start = index
-        elif depth == 1 and code[index] in ")]}":
-            yield start, index
-
-
-def _depths(code: str) -> Iterator[tuple[int, int]]:
-    """Every character outside of quotes, and how many brackets are open before it."""
-    depth = 0
-    for found in re.finditer(r'"(?:[^"\\]|\\.)*"|(?P<other>.)', code, re.DOTALL):
-        if found["other"]:
-            yield found.start(), depth
-            depth += (found["other"] in "([{") - (found["other"] in ")]}")
+    start = depth = 0
+    for found in _BRACKET_OR_QUOTED.finditer(code):
+        deeper = _DEEPER.get(found[0], 0)
+        if depth == 0 and deeper > 0:
+            start = found.start()
+        elif depth == 1 and deeper < 0:
+            yield start, found.start()
+        depth += deeper

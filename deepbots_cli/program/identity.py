@@ -63,6 +63,10 @@ def record_members(part: object) -> dict[str, Any] | None:
 
 
 def _plain(value: object) -> object:
+    if value is None or isinstance(value, str | int):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else {"is": "float", "value": repr(value)}
     inside = record_members(value)
     if inside is not None:
         return {"is": type(value).__name__, **{name: _plain(member) for name, member in inside.items()}}
@@ -70,8 +74,6 @@ def _plain(value: object) -> object:
         return [_plain(item) for item in value]
     if isinstance(value, Mapping):
         return {name: _plain(item) for name, item in value.items()}
-    if isinstance(value, float) and not math.isfinite(value):
-        return {"is": "float", "value": repr(value)}
     return value
 
 
