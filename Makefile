@@ -34,7 +34,7 @@ test: dev ## the tests, with a few of many cases that show one fact
 
 .PHONY: nightly
 nightly: dev ## every case of every test, and a long run over damaged files; takes about an hour
-	$(PYTEST) -m "not editors"
+	$(PYTEST) -m "not editors" --hypothesis-profile nightly
 	$(MAKE) fuzz
 
 .PHONY: fuzz

@@ -24,8 +24,10 @@ sys.path.insert(0, str(Path(__file__).parent / "exact"))
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-hypothesis.settings.register_profile("deepbots", deadline=None)  # a busy machine, or the first import of scipy, takes seconds
-hypothesis.settings.load_profile("deepbots")
+# No deadline: a busy machine, or the first import of scipy, takes seconds. A run draws other examples than the one before.
+hypothesis.settings.register_profile("few", deadline=None, max_examples=30)
+hypothesis.settings.register_profile("nightly", deadline=None, max_examples=200)
+hypothesis.settings.load_profile("few")
 
 WITHOUT = None if ENGINES.own["pybullet"].is_installed else ENGINES.own["pybullet"].missing
 _NEEDS = (

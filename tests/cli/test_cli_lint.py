@@ -73,7 +73,7 @@ def test_what_would_crash_a_parser_in_c_ends_in_findings():
         assert b"Traceback" not in done.stderr
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(content=st.one_of(st.binary(max_size=300), st.text(max_size=300).map(lambda text: text.encode("utf-8", "replace"))))
 def test_arbitrary_bytes_never_end_in_a_fault(tmp_path, content):
     path = tmp_path / "any.yaml"
@@ -81,7 +81,6 @@ def test_arbitrary_bytes_never_end_in_a_fault(tmp_path, content):
     assert main(["lint", str(path), "--format", "json"]) == 1
 
 
-@settings(max_examples=60)
 @given(value=st.text(max_size=40), path=st.sampled_from(["world.timestep", "fall_angle", "reward.alive", "name", "", "action"]))
 def test_arbitrary_assignments_never_end_in_a_fault(value, path):
     assert main(["lint", "cartpole", "--set", f"{path}={value}", "--format", "json"]) in (0, 1)

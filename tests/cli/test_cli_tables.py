@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from deepbots_cli.cli.tables import row_as_lines, table
@@ -28,7 +28,6 @@ def test_wide_characters_take_two_columns():
     assert display_width(second[: second.index("x")]) == third.index("y") == first.index("m")
 
 
-@settings(max_examples=60)
 @given(rows=ROWS)
 def test_any_values_make_lines_that_no_terminal_obeys(rows):
     shown = table(rows)

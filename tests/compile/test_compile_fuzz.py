@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from deepbots_cli import api
@@ -85,7 +85,6 @@ def examine(bench: Workshop, text: str) -> None:
         compile(api.compile(bench.file).code, "generated", "exec")
 
 
-@settings(max_examples=100)
 @given(data=st.data())
 def test_lines_taken_out_put_in_or_exchanged(bench: Workshop, data: st.DataObject) -> None:
     lines = data.draw(st.sampled_from(TEXTS)).splitlines()
@@ -103,7 +102,6 @@ def test_lines_taken_out_put_in_or_exchanged(bench: Workshop, data: st.DataObjec
     examine(bench, "\n".join(lines) + "\n")
 
 
-@settings(max_examples=100)
 @given(data=st.data())
 def test_words_exchanged(bench: Workshop, data: st.DataObject) -> None:
     text = data.draw(st.sampled_from(TEXTS))
@@ -113,7 +111,6 @@ def test_words_exchanged(bench: Workshop, data: st.DataObject) -> None:
     examine(bench, text)
 
 
-@settings(max_examples=100)
 @given(data=st.data())
 def test_values_exchanged(bench: Workshop, data: st.DataObject) -> None:
     text = data.draw(st.sampled_from(TEXTS))

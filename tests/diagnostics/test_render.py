@@ -6,7 +6,7 @@ import json
 import unicodedata
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from deepbots_cli.diagnostics import Finding, Label, Source, Span
@@ -168,7 +168,6 @@ def test_the_summary_counts_by_severity() -> None:
     assert summary([]) == "no findings"
 
 
-@settings(max_examples=100)
 @given(st.text(max_size=120), st.integers(0, 120), st.integers(0, 120), st.text(max_size=20), st.integers(0, 120))
 def test_any_place_in_any_text_can_be_drawn(text: str, one: int, two: int, headline: str, width: int) -> None:
     start, end = sorted((min(one, len(text)), min(two, len(text))))

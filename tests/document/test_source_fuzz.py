@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from deepbots_cli.diagnostics import Span
@@ -58,7 +58,6 @@ def check(document: Document) -> None:
         assert render(document.findings, format) or not len(document.findings)
 
 
-@settings(max_examples=150)
 @given(TEXTS | st.text(max_size=60))
 def test_any_text_gives_nodes_or_findings_with_places_inside_it(text: str) -> None:
     document = loads(text)
@@ -66,7 +65,6 @@ def test_any_text_gives_nodes_or_findings_with_places_inside_it(text: str) -> No
     assert document.root is not None or document.findings.errors
 
 
-@settings(max_examples=60)
 @given(content=st.binary(max_size=60) | TEXTS.map(str.encode))
 def test_any_bytes_give_nodes_or_findings(tmp_path_factory, content: bytes) -> None:  # type: ignore[no-untyped-def]
     path: Path = tmp_path_factory.getbasetemp() / "fuzz.yaml"
@@ -74,13 +72,11 @@ def test_any_bytes_give_nodes_or_findings(tmp_path_factory, content: bytes) -> N
     check(load(path))
 
 
-@settings(max_examples=80)
 @given(TEXTS)
 def test_any_assignment_gives_a_document(text: str) -> None:
     check(loads("parameters: {a: 1}\nb: {key: [1, 2]}\n", overrides=[text, f"a={text}", f"b.key={text}"]))
 
 
-@settings(max_examples=150)
 @given(TEXTS.map("a: ".__add__))
 def test_text_without_findings_holds_what_pyyaml_finds_in_it(text: str) -> None:
     document = loads(text)
@@ -88,7 +84,6 @@ def test_text_without_findings_holds_what_pyyaml_finds_in_it(text: str) -> None:
         assert texts(document.root) == yaml.load(text, yaml.CBaseLoader)
 
 
-@settings(max_examples=80)
 @given(st.dictionaries(WORDS, DATA, max_size=5), st.sampled_from([None, 2]))
 def test_json_is_read_as_the_data_that_it_holds(data: dict[str, object], indent: int | None) -> None:
     reserved = {"extends", "include", "remove"}
@@ -99,7 +94,6 @@ def test_json_is_read_as_the_data_that_it_holds(data: dict[str, object], indent:
         assert to_data(document.root) == data
 
 
-@settings(max_examples=80)
 @given(st.dictionaries(WORDS, DATA, max_size=5))
 def test_the_span_of_a_scalar_reads_as_that_scalar(data: dict[str, object]) -> None:
     document = loads(json.dumps(data, ensure_ascii=False))

@@ -36,19 +36,19 @@ def take(bench, text):
         compile(to_python(scalar, lambda read: "v"), "item", "eval")
 
 
-@settings(max_examples=150, deadline=2000)
+@settings(deadline=2000)
 @given(st.text(max_size=60))
 def test_any_text_is_answered(bench_of, text):
     take(bench_of(), text)
 
 
-@settings(max_examples=300, deadline=2000)
+@settings(deadline=2000)
 @given(soup)
 def test_any_soup_of_known_words_is_answered(bench_of, text):
     take(bench_of(), text)
 
 
-@settings(max_examples=60, deadline=2000)
+@settings(deadline=2000)
 @given(
     st.sampled_from(["abs(", "(", "-", "clamp(1 - ", "x if flag else ", "delta(", "2^", "wrap(", "not ", "norm(home * ", "1 - (1 - "]),
     st.integers(1, 70),

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 READ = {"gas": st.floats(-1, 1), "turn": st.floats(-1, 1), "x": st.floats(-50, 50), "y": st.floats(-2, 3), "flag": st.booleans()}
@@ -91,7 +91,6 @@ def grow(n):
     return number, length, truth
 
 
-@settings(max_examples=120)
 @given(st.data())
 def test_printed_python_agrees_with_direct_evaluation(bench_of, data):
     drawn = data.draw(st.one_of(*grow(3)), label="expression")

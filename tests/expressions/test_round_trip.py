@@ -96,7 +96,7 @@ def refuse(*finding, **more):
     raise AssertionError(finding)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(deadline=None)
 @given(texts)
 def test_a_printed_tree_is_read_as_the_same_tree(written):
     found = parse(printed(written), refuse)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from deepbots_cli import api
@@ -71,7 +71,6 @@ DAMAGE = st.lists(
 )
 
 
-@settings(max_examples=100)
 @given(main=st.sampled_from(sorted(READS)), data=st.data(), damage=DAMAGE)
 def test_bytes_put_anywhere_give_findings(bench: Workbench, main: str, data: st.DataObject, damage: list[tuple[float, int, bytes]]) -> None:
     victim = data.draw(st.sampled_from([main, *READS[main]]))

@@ -260,7 +260,7 @@ VALUES = st.recursive(
 )
 
 
-@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_whatever_run_json_holds_it_opens_or_is_refused_in_a_sentence(run_copy: Path, trained: TrainingResult, data: st.DataObject) -> None:
     record = json.loads((trained.run / "run.json").read_text())

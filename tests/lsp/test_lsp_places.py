@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from lsprotocol.types import Position
 from pygls.workspace import PositionCodec
@@ -28,7 +28,6 @@ ENCODINGS = {"utf-8": 1, "utf-16": 2, "utf-32": 4}
 
 
 @given(TEXTS.filter(lambda text: not any("\ud800" <= letter <= "\udfff" for letter in text)), st.sampled_from(sorted(ENCODINGS)))
-@settings(max_examples=200)
 def test_each_offset_has_a_position_that_leads_back_to_it(text, encoding):
     lines, mark = Lines(text, PositionCodec(encoding)), text.startswith("\ufeff")
     for index in range(mark, len(text) + 1):
@@ -95,7 +94,6 @@ def test_a_text_that_is_being_written_has_a_path_all_the_same(text, path, role):
 
 
 @given(st.text(st.sampled_from("ab:-[]{},\"'#|>&*!% \n\t😀")), st.integers(0, 200))
-@settings(max_examples=300)
 def test_any_text_whatever_has_a_path(text, offset):
     found = place_at(text, min(offset, len(text)))
     assert found.start <= max(len(text), 0)

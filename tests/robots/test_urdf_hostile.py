@@ -118,7 +118,6 @@ def check(data: bytes) -> None:
     assert again.model == robot.model
 
 
-@settings(max_examples=100)
 @given(st.binary(max_size=300) | st.text(max_size=300).map(lambda text: text.encode("utf-8", "surrogatepass")))
 @example(b"\xef\xbb\xbf<robot/>")
 @example(b"<!DOCTYPE")
@@ -133,7 +132,7 @@ PIECES = [
 ]  # fmt: skip
 
 
-@settings(max_examples=100, suppress_health_check=[HealthCheck.too_slow])
+@settings(suppress_health_check=[HealthCheck.too_slow])
 @given(
     st.lists(
         st.tuples(st.integers(0, len(CARTPOLE)), st.integers(0, 40), st.sampled_from(PIECES) | st.binary(max_size=4)),
@@ -151,7 +150,6 @@ def test_a_damaged_robot_gives_findings_or_still_reads(cuts: list[tuple[int, int
 TOKENS = sorted({token for token in CARTPOLE.replace(b"<", b' "').replace(b">", b'" ').split(b'"') if 0 < len(token) < 30})
 
 
-@settings(max_examples=100)
 @given(st.lists(st.tuples(st.sampled_from(TOKENS), st.sampled_from(PIECES + TOKENS)), min_size=1, max_size=2))
 def test_exchanged_words_give_findings_or_still_read(exchanges: list[tuple[bytes, bytes]]):
     data = CARTPOLE

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from deepbots_cli.diagnostics import Findings
@@ -85,7 +85,6 @@ def robots(draw: st.DrawFn) -> RobotModel:
     return RobotModel(draw(names).strip(), links, tuple(joints), link_names[0])
 
 
-@settings(max_examples=100)
 @given(robots())
 def test_any_robot_survives_writing_and_reading(model: RobotModel):
     findings = Findings()

@@ -7,7 +7,7 @@ import struct
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from deepbots_cli import message_formats
@@ -48,7 +48,6 @@ def reading(made: Codec, layout: MessageLayout, message: object) -> tuple[Any, .
 
 
 @every_format
-@settings(max_examples=100)
 @given(angle=finite, gyro=st.tuples(finite, finite, finite), touch=st.booleans())
 def test_every_format_carries_every_finite_number_to_the_last_bit(
     format: str, angle: float, gyro: tuple[float, float, float], touch: bool
@@ -138,7 +137,6 @@ def damage(message: bytes | str, data: st.DataObject) -> bytes | str:
 
 
 @every_format
-@settings(max_examples=100)
 @given(data=st.data())
 def test_a_damaged_message_is_read_or_refused_but_never_breaks_the_reader(format: str, data: st.DataObject) -> None:
     for layout, values in ((LAYOUT, VALUES), (FLOATS_ONLY, VALUES[:4]), (EMPTY, ())):
@@ -149,7 +147,6 @@ def test_a_damaged_message_is_read_or_refused_but_never_breaks_the_reader(format
 
 
 @every_format
-@settings(max_examples=100)
 @given(message=st.one_of(st.binary(max_size=60), st.text(max_size=30), st.none(), st.integers(), st.lists(st.floats(), max_size=3)))
 def test_garbage_is_refused_but_never_breaks_the_reader(format: str, message: object) -> None:
     if reading(codec(LAYOUT, format), LAYOUT, message) is None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import jsonschema
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from deepbots_cli.diagnostics import Finding
@@ -79,7 +79,6 @@ def mutated(draw: st.DrawFn, values: st.SearchStrategy[Any], changes: int = 3, i
     return data, changed
 
 
-@settings(max_examples=120)
 @given(case=mutated(ODD))
 def test_no_change_of_a_scenario_raises_and_every_finding_has_a_place(check: Check, case: tuple[Any, list[Place]]) -> None:
     data, _ = case
@@ -93,7 +92,6 @@ def test_no_change_of_a_scenario_raises_and_every_finding_has_a_place(check: Che
         assert scenario.pruned == frozenset()
 
 
-@settings(max_examples=80)
 @given(case=mutated(st.sampled_from([True, [[]], {"odd": 3}, 0, "x"]), changes=1, insert=False))
 def test_one_wrong_value_is_one_finding(check: Check, case: tuple[Any, list[Place]]) -> None:
     data, _ = case
@@ -102,7 +100,6 @@ def test_one_wrong_value_is_one_finding(check: Check, case: tuple[Any, list[Plac
     assert len([finding for finding in findings if finding.code != "DB102"]) <= 1, [finding.headline for finding in findings]
 
 
-@settings(max_examples=80)
 @given(case=mutated(ODD, changes=1))
 def test_what_an_editor_marks_is_a_finding_too(check: Check, case: tuple[Any, list[Place]]) -> None:
     data, _ = case
@@ -111,7 +108,6 @@ def test_what_an_editor_marks_is_a_finding_too(check: Check, case: tuple[Any, li
         assert findings
 
 
-@settings(max_examples=60)
 @given(data=ODD)
 def test_a_file_of_something_else_altogether_is_answered(check: Check, data: Any) -> None:
     _, findings = check(json.dumps(data))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from deepbots_cli import api, engines, files
@@ -128,7 +128,6 @@ def test_an_episode_on_terrain_after_a_reset_is_that_of_a_fresh_world() -> None:
             second.reset()
 
 
-@settings(max_examples=60)
 @given(st.data(), st.sampled_from([1, 2]), st.integers(0, 4), st.integers(2, 7), st.integers(2, 7))
 def test_a_gray_picture_is_read_as_it_was_written(data, depth: int, filtering: int, width: int, tall: int) -> None:
     rows = [[data.draw(st.integers(0, 256**depth - 1)) for _ in range(width)] for _ in range(tall)]
@@ -137,7 +136,6 @@ def test_a_gray_picture_is_read_as_it_was_written(data, depth: int, filtering: i
     assert picture_pixels(written).tolist() == rows
 
 
-@settings(max_examples=200)
 @given(st.binary(max_size=60), st.integers(0, 90), st.binary(max_size=4))
 def test_a_damaged_picture_is_refused_or_read_and_nothing_worse(tail: bytes, at: int, patch: bytes) -> None:
     whole = gray_png([[1, 2, 3], [4, 5, 6]])
