@@ -274,11 +274,14 @@ WITHOUT = [("try", "gymnasium", "sim"), ("bench", "msgspec", "sim"), ("train", "
 
 
 def test_a_missing_extra_is_one_line_with_the_command_that_installs_it():
-    calls = "".join(
-        f"sys.modules['{absent}'] = None; code = main(['{verb}', 'cartpole']); print('exit', code, file=sys.stderr); del sys.modules['{absent}']; "
-        for verb, absent, _ in WITHOUT
-    )
-    code = f"import sys; from deepbots_cli.cli import main; {calls}"
+    code = f"""
+import sys
+from deepbots_cli.cli import main
+for verb, absent, _ in {WITHOUT}:
+    sys.modules[absent] = None
+    print("exit", main([verb, "cartpole"]), file=sys.stderr)
+    del sys.modules[absent]
+"""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     lines = done.stderr.splitlines()
     assert lines[1::2] == ["exit 2"] * 3

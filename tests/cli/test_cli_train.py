@@ -28,13 +28,13 @@ from deepbots_cli.learning.run import RunRecord
 from deepbots_cli.learning.verdict import run_verdict
 from tests.cli.conftest import Ran
 
-FAST = ("--set", "train.n_epochs=1", "--set", "train.environments=2")
-TINY = ("train", "cartpole", "--timesteps", "600", *FAST, "--set", "evaluation={episodes: 4}")
+FAST = ("--set", "train.n_epochs=1", "--set", "train.environments=2", "--set", "train.n_steps=64")
+TINY = ("train", "cartpole", "--timesteps", "200", *FAST, "--set", "evaluation={episodes: 4}")
 
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory):
-    """A folder with a run of 600 steps, `mine`, and what its training printed."""
+    """A folder with a run of 256 steps, `mine`, and what its training printed."""
     folder, out, err = tmp_path_factory.mktemp("trained"), StringIO(), StringIO()
     with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = main([*TINY, "--run", "mine"])
@@ -113,8 +113,8 @@ def test_a_trained_run_can_be_evaluated_listed_filmed_and_gone_on_with(deepbots,
     assert deepbots("eval", "mine", "--episodes", "1", "--last").code == 0
     assert deepbots("render", "mine", "--last", "-o", "out.mp4").code == 0
     assert (tmp_path / "out.mp4").stat().st_size > 1000
-    resumed = json.loads(deepbots("train", "--resume", "mine", "--timesteps", "1200", "--quiet", "--json").out)
-    assert resumed["training"]["steps"] >= 1200
+    resumed = json.loads(deepbots("train", "--resume", "mine", "--timesteps", "400", "--quiet", "--json").out)
+    assert resumed["training"]["steps"] >= 400
     assert resumed["evaluation"]["episodes"] == 4
     (row,) = json.loads(deepbots("runs", ".", "--json").out)
     assert (row["name"], row["state"], row["score"]) == ("mine", "finished", "evaluation")
@@ -131,7 +131,7 @@ def test_a_trained_run_can_be_evaluated_listed_filmed_and_gone_on_with(deepbots,
 def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
     there = "there: {set: {termination.success: {there: x > 0.3 m}}, episodes: 2}"
     cases = f"evaluation={{episodes: 4, cases: {{steep: {{set: {{fall_angle: 5 deg}}, episodes: 3}}, {there}}}}}"
-    ran = deepbots("train", "cartpole", "--timesteps", "600", *FAST, "--set", cases, "--run", "mine", "--quiet")
+    ran = deepbots("train", "cartpole", "--timesteps", "200", *FAST, "--set", cases, "--run", "mine", "--quiet")
     assert ran.code == 0, ran.err
     rates = {line.split()[0]: "%" in line for line in ran.out.split("cases")[1].splitlines() if line.split()[:1] in (["steep"], ["there"])}
     assert rates == {"steep": False, "there": True}  # a success rate only where there is a success
@@ -217,7 +217,7 @@ def test_a_gate_without_a_success_is_decided_long_before_the_last_episode(deepbo
 
 
 def test_a_group_is_trained_listed_evaluated_and_compared_as_one(deepbots):
-    ran = deepbots("train", "cartpole", "--seeds", "0,2", "--timesteps", "300", "--set", "evaluation={episodes: 2}", "--json")
+    ran = deepbots("train", "cartpole", "--seeds", "0,2", "--timesteps", "300", *FAST[2:], "--set", "evaluation={episodes: 2}", "--json")
     assert ran.code == 0, ran.err
     found = json.loads(ran.out)
     assert "seed 2, 2 of 2" in ran.err
@@ -365,7 +365,7 @@ def test_inspect_shows_what_a_run_is_and_the_scenario_that_it_was_trained_with(d
     tables = json.loads(deepbots("inspect", "mine", "--json").out)
     known = tables["run"]
     assert (known["status"], known["seed"], known["solved"]) == ("finished", 0, "unknown")
-    assert known["steps"] >= 600 == known["total_timesteps"]
+    assert known["steps"] >= 200 == known["total_timesteps"]
     assert known["best_model"] == "mine/models/agent/best.zip"
     assert tables["training"]["evaluation_episodes"] == 4
     assert {row["parameter"]: row["value"] for row in tables["parameters"]}["track"] == "0.39 m"
