@@ -24,18 +24,26 @@ LEGS = [f"{leg}_{part}_joint" for leg in ("FR", "FL", "RR", "RL") for part in ("
 STAND = [0.0, 0.9, -1.8] * 4
 
 
+PASTS = [
+    pytest.param((0, 1, 2, 5, 21, 89), id="few"),
+    pytest.param((0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233), id="all", marks=pytest.mark.slow),
+]
+"""The lengths of what came before a reset."""
+
+
 def in_fresh_process(engine: str, world: WorldModel, seed: int, ticks: int) -> bytes:
     given = pickle.dumps((engine, world, seed, ticks))
     return subprocess.run([sys.executable, str(EPISODE)], input=given, capture_output=True, check=True).stdout
 
 
+@pytest.mark.parametrize("pasts", PASTS)
 @pytest.mark.parametrize("carts", [1, 3])
-def test_an_episode_after_a_reset_equals_one_in_a_fresh_process_whatever_came_before(engine_name, carts, worlds, build):
+def test_an_episode_after_a_reset_equals_one_in_a_fresh_process_whatever_came_before(engine_name, carts, pasts, worlds, build):
     world = worlds.arena(carts=carts)
     fresh = in_fresh_process(engine_name, world, seed=5, ticks=100)
     engine = build(engine_name, world)
     assert trajectory(engine, world, seed=5, ticks=100) == fresh
-    for ticks in (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233):
+    for ticks in pasts:
         engine.reset()
         trajectory(engine, world, seed=ticks, ticks=ticks)
         engine.reset()
@@ -88,10 +96,11 @@ def walk(engine: Engine, seed: int, ticks: int) -> bytes:
     return struct.pack(f"{len(figures)}d", *figures)
 
 
-def test_a_dog_on_springs_walks_anew_after_every_reset_whatever_came_before(engine_name, dog, build):
+@pytest.mark.parametrize("pasts", PASTS)
+def test_a_dog_on_springs_walks_anew_after_every_reset_whatever_came_before(engine_name, dog, pasts, build):
     fresh = {seed: walk(build(engine_name, yard(dog)), seed, 50) for seed in (3, 4)}
     engine = build(engine_name, yard(dog))
-    for ticks in (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89):
+    for ticks in pasts:
         engine.reset()
         walk(engine, 1000 + ticks, ticks)
         for seed, expected in fresh.items():
@@ -153,12 +162,13 @@ def roll(engine: Engine, seed: int, ticks: int) -> bytes:
 JOINTS = ["pitch", "yaw"]
 
 
-def test_a_ball_rolls_in_a_pit_anew_after_every_reset_whatever_came_before(engine_name, roller, build):
+@pytest.mark.parametrize("pasts", PASTS)
+def test_a_ball_rolls_in_a_pit_anew_after_every_reset_whatever_came_before(engine_name, roller, pasts, build):
     rock = ObjectBody("rock", Sphere(0.1), Pose((0.6, 0.0, 0.6)), 0.5)
     world = WorldModel(0.032, 8, robots=(RobotBody("roller", roller),), objects=(rock,), terrain=Terrain(Pit(3.2, 4.0, 0.15)))
     fresh = {seed: roll(build(engine_name, world), seed, 60) for seed in (3, 4)}
     engine = build(engine_name, world)
-    for ticks in (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89):
+    for ticks in pasts:
         engine.reset()
         roll(engine, 1000 + ticks, ticks)
         for seed, expected in fresh.items():
