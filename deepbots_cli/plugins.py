@@ -32,7 +32,12 @@ T = TypeVar("T")
 
 def entry_points_of(group: str) -> tuple[EntryPoint, ...]:
     """The entry points of a group, in the order in which packages are found."""
-    return tuple(_entry_points_on_path(tuple(sys.path)).select(group=group))
+    return _group_on_path(group, tuple(sys.path))
+
+
+@cache
+def _group_on_path(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    return tuple(_entry_points_on_path(path).select(group=group))
 
 
 @cache

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
-from functools import wraps
+from functools import cache, wraps
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -249,6 +249,15 @@ class Command(TyperCommand):
                     formatter.write_dl(groups[group])
 
 
+@cache
+def _command(name: str) -> Any:
+    """The command of this name. It is kept for programs that call `main` several times: typer takes 4 ms to read its annotations."""
+    module, _, function = COMMANDS[name][0].partition(".")
+    app = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
+    app.command(name, cls=Command)(_with_permission_options(getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function)))
+    return typer.main.get_command(app)
+
+
 class Commands(TyperGroup):
     """The group of the commands; imports the module of a command when the command is called."""
 
@@ -262,12 +271,7 @@ class Commands(TyperGroup):
             other = f"the commands are: {', '.join(COMMANDS)}"
             hint = f"use `{REPLACEMENTS[near]}`" if near in REPLACEMENTS else f"did you mean '{near}'?" if near else other
             ctx.fail(f"there is no command '{cmd_name}'; {hint}")
-        module, _, function = COMMANDS[cmd_name][0].partition(".")
-        app = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
-        app.command(cmd_name, cls=Command)(
-            _with_permission_options(getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function))
-        )
-        return typer.main.get_command(app)
+        return _command(cmd_name)
 
     def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
         from typer.core import CompletionItem  # type: ignore[attr-defined]  # typer exports none

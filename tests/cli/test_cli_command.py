@@ -394,7 +394,7 @@ def test_a_full_disk_of_a_file_with_a_name_is_one_clear_line_with_the_remedy(dee
 
 
 def test_compile_does_not_write_over_the_scenario(deepbots, tmp_path):
-    deepbots("new", "cartpole", "--from", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole", "--json")
     before = (tmp_path / "cartpole.yaml").read_bytes()
     ran = deepbots("compile", "cartpole.yaml", "-o", "cartpole.yaml")
     assert (ran.code, ran.out) == (2, "")

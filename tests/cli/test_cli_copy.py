@@ -24,7 +24,7 @@ def test_a_copy_of_any_shipped_scenario_means_the_same_from_any_folder(deepbots,
 
 
 def test_a_copy_keeps_comments_and_reads_its_own_robot(deepbots, tmp_path):
-    deepbots("new", "cartpole", "--from", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole", "--json")
     before, after = shipped.scenario_path("cartpole").read_text(encoding="utf-8"), (tmp_path / "cartpole.yaml").read_text(encoding="utf-8")
     changed = [line for line in after.splitlines() if line not in before.splitlines()]
     assert len(changed) == 1
@@ -63,9 +63,9 @@ def test_nothing_is_overwritten_and_nothing_half_written(deepbots, tmp_path):
 
 
 def test_a_second_copy_changes_nothing(deepbots, tmp_path):
-    deepbots("new", "cartpole", "--from", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole", "--json")
     stamp = (tmp_path / "cartpole.yaml").stat().st_mtime_ns
-    assert deepbots("new", "cartpole", "--from", "cartpole").code == 0
+    assert deepbots("new", "cartpole", "--from", "cartpole", "--json").code == 0
     assert (tmp_path / "cartpole.yaml").stat().st_mtime_ns == stamp
 
 

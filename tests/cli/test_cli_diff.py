@@ -59,7 +59,7 @@ def differences(deepbots, *words: object) -> tuple[int, dict[tuple[str, str], di
 def test_a_single_setting_is_found_at_its_path_and_in_its_group(deepbots, setting, group, path):
     if "cart\\." in setting:
         (Path("other.yaml")).write_text("deepbots: 1\nextends: cartpole.yaml\nreset: {joints: {cart.pole_hinge: uniform(-5 .. 5 deg)}}\n")
-        deepbots("new", "cartpole", "--from", "cartpole")
+        deepbots("new", "cartpole", "--from", "cartpole", "--json")
         code, found = differences(deepbots, "cartpole.yaml", "other.yaml")
     else:
         code, found = differences(deepbots, "cartpole", "cartpole", "--set", setting)
@@ -108,7 +108,7 @@ def test_every_pair_of_shipped_variants_is_the_same_from_both_sides(deepbots):
 
 
 def test_layout_comments_units_and_the_order_of_keys_count_for_nothing(deepbots, tmp_path):
-    deepbots("new", "cartpole", "--from", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole", "--json")
     text = (tmp_path / "cartpole.yaml").read_text(encoding="utf-8")
     changed = text.replace("0.39 m", "39 cm").replace("32 ms", "0.032 s  # a tick") + "\n# the end\n"
     changed = changed.replace("  n_steps: 64\n  batch_size: 256\n", "  batch_size: 256\n  n_steps: 64\n")
@@ -125,7 +125,7 @@ def test_a_parameter_is_told_by_what_it_changes(deepbots):
 
 
 def test_another_order_of_what_the_policy_sees_does_not_fit(deepbots, tmp_path):
-    deepbots("new", "cartpole", "--from", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole", "--json")
     text = (tmp_path / "cartpole.yaml").read_text(encoding="utf-8")
     line = "  x:               -0.4 .. 0.4 m\n"
     (tmp_path / "turned.yaml").write_text(text.replace(line, "").replace("\nreward:", f"{line}\nreward:", 1), encoding="utf-8")
@@ -144,7 +144,7 @@ REORDERED = {
 
 @pytest.mark.parametrize("old", REORDERED, ids=["reward", "signals", "coordinates"])
 def test_the_order_of_keys_is_no_difference_in_the_task(deepbots, tmp_path, old):
-    deepbots("new", "find_ball", "--from", "find_ball")
+    deepbots("new", "find_ball", "--from", "find_ball", "--json")
     text = (tmp_path / "find_ball.yaml").read_text(encoding="utf-8")
     assert old in text
     (tmp_path / "other.yaml").write_text(text.replace(old, REORDERED[old]), encoding="utf-8")
@@ -154,7 +154,7 @@ def test_the_order_of_keys_is_no_difference_in_the_task(deepbots, tmp_path, old)
 
 
 def test_the_order_in_which_bodies_look_for_a_place_makes_other_starts(deepbots, tmp_path):
-    deepbots("new", "find_ball", "--from", "find_ball")
+    deepbots("new", "find_ball", "--from", "find_ball", "--json")
     text = (tmp_path / "find_ball.yaml").read_text(encoding="utf-8")
     ball, box = "    ball:  {x: 38 cm, y: 38 cm}\n", "    box:   {yaw: 45 deg}\n"
     (tmp_path / "other.yaml").write_text(text.replace(ball + box, box + ball), encoding="utf-8")
@@ -215,9 +215,9 @@ def test_a_link_that_only_one_has_is_named_without_its_inside(deepbots):
 
 
 def test_a_figure_of_a_link_that_both_have_is_told(deepbots, tmp_path):
-    deepbots("new", "quadrotor", "--from", "quadrotor")
+    deepbots("new", "quadrotor", "--from", "quadrotor", "--json")
     (tmp_path / "other").mkdir()
-    deepbots("new", "quadrotor", "other", "--from", "quadrotor")
+    deepbots("new", "quadrotor", "other", "--from", "quadrotor", "--json")
     robot = tmp_path / "other" / "robots" / "urdf" / "quadrotor.urdf"
     robot.write_text(robot.read_text(encoding="utf-8").replace('mass value="', 'mass value="1', 1), encoding="utf-8")
     _, found = differences(deepbots, "quadrotor.yaml", "other/quadrotor.yaml")
@@ -240,7 +240,7 @@ def test_colors_count_where_a_camera_sees_them(deepbots):
 
 def test_stages_and_cases_are_compared_by_what_they_change(deepbots, tmp_path):
     head = "deepbots: 1\nextends: cartpole.yaml\ncurriculum:\n"
-    deepbots("new", "cartpole", "--from", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole", "--json")
     for name, angle in (("one", 25), ("two", 20)):
         stages = f"  - {{name: wide, set: {{fall_angle: {angle} deg}}, until: mean_return >= 150 over 20 episodes}}\n  - {{name: usual}}\n"
         (tmp_path / f"{name}.yaml").write_text(head + stages)
@@ -250,7 +250,7 @@ def test_stages_and_cases_are_compared_by_what_they_change(deepbots, tmp_path):
 
 
 def test_a_run_is_compared_with_the_file_it_was_trained_on(deepbots, tmp_path):
-    deepbots("new", "cartpole", "--from", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole", "--json")
     trained = deepbots("train", "cartpole.yaml", "--run", "run", "--set", "train.total_timesteps=512", "--set", "evaluation.episodes=1")
     assert trained.code == 0, trained.err
     assert isinstance(RunRecord.read(tmp_path / "run").digest, str)
@@ -270,7 +270,7 @@ def test_what_cannot_be_compared_ends_with_2(deepbots, tmp_path, words):
 
 
 def test_figures_along_axes_are_told_by_the_names_of_the_axes(deepbots, tmp_path):
-    deepbots("new", "cartpole", "--from", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole", "--json")
     robot = tmp_path / "robots" / "urdf" / "cartpole.urdf"
     moved = re.sub(r'xyz="(\S+) \S+ ', r'xyz="\1 0.0123 ', robot.read_text(), count=1)
     (tmp_path / "robots" / "urdf" / "other.urdf").write_text(moved)

@@ -38,7 +38,7 @@ def test_what_a_template_makes_is_clean_runs_and_says_what_to_do_next(deepbots, 
 
 @pytest.mark.parametrize("template", [*Template])
 def test_every_section_of_a_template_has_a_comment(deepbots, tmp_path, template):
-    deepbots("new", "a", "--template", template)
+    deepbots("new", "a", "--template", template, "--json")
     text = (tmp_path / "a.yaml").read_text(encoding="utf-8")
     blocks = [block for block in text.split("\n\n") if not block.startswith(("deepbots", "solved", "objects"))]
     assert all("#" in block for block in blocks)
@@ -50,7 +50,7 @@ def test_the_help_lists_every_template():
 
 
 def test_the_script_of_the_wheeled_template_finds_its_ball(deepbots):
-    deepbots("new", "rolling", "--template", "wheeled")
+    deepbots("new", "rolling", "--template", "wheeled", "--json")
     ran = deepbots("try", "rolling.yaml", "--driver", "towards", "--episodes", "5", "--json")
     assert json.loads(ran.out)["summary"]["success_rate"] == 1.0
 
@@ -126,7 +126,7 @@ ONE_OF_EACH = tuple({kind: robot for robot, kind in ROBOTS.items()}.values())
 
 @pytest.mark.parametrize("robot", few(ROBOTS, ONE_OF_EACH))
 def test_a_scenario_for_a_robot_file_is_clean_suits_the_robot_and_runs(deepbots, tmp_path, robot):
-    made = deepbots("new", "first", "--urdf", robot)
+    made = deepbots("new", "first", "--urdf", robot, "--json")
     assert made.code == 0, made.err
     assert api.lint(tmp_path / "first.yaml", preview=True) == []
     scenario = api.compile(tmp_path / "first.yaml").program
@@ -139,7 +139,7 @@ def test_a_scenario_for_a_robot_file_is_clean_suits_the_robot_and_runs(deepbots,
 @pytest.mark.parametrize(("robot", "way"), [("a1/a1", "x"), ("quadruped/minitaur", "x"), ("laikago/laikago_toes", "y")])
 def test_what_has_legs_walks_the_way_that_its_body_is_long(deepbots, tmp_path, robot, way):
     pytest.importorskip("pybullet_data")
-    deepbots("new", "first", "--urdf", f"package://pybullet_data/{robot}.urdf")
+    deepbots("new", "first", "--urdf", f"package://pybullet_data/{robot}.urdf", "--json")
     text = (tmp_path / "first.yaml").read_text(encoding="utf-8")
     assert f"clamp(v.{way} / (m/s)" in text
     assert ("roll: 90 deg" in text) is (way == "y")
@@ -151,15 +151,15 @@ def test_every_shipped_robot_is_among_those_that_are_tried():
 
 @pytest.mark.parametrize("robot", ["rover", "package://pybullet_data/husky/husky.urdf"])
 def test_wheels_of_a_robot_file_turn_the_way_that_the_scenario_says(deepbots, robot):
-    deepbots("new", "rolling", "--urdf", robot)
+    deepbots("new", "rolling", "--urdf", robot, "--json")
     ran = deepbots("try", "rolling.yaml", "--driver", "towards", "--episodes", "3", "--json")
     assert json.loads(ran.out)["summary"]["success_rate"] == 1.0
 
 
 def test_wheels_steering_and_what_is_to_be_held_are_told_apart(deepbots, tmp_path):
     pytest.importorskip("pybullet_data")
-    deepbots("new", "car", "--urdf", "package://pybullet_data/racecar/racecar.urdf")
-    deepbots("new", "droid", "--urdf", "package://pybullet_data/r2d2.urdf")
+    deepbots("new", "car", "--urdf", "package://pybullet_data/racecar/racecar.urdf", "--json")
+    deepbots("new", "droid", "--urdf", "package://pybullet_data/r2d2.urdf", "--json")
     car, droid = (api.compile(tmp_path / f"{name}.yaml").program.robots[0] for name in ("car", "droid"))
     assert [len(motor.joints) for motor in car.actuators] == [4, 2]
     assert [motor.kind for motor in car.actuators] == ["velocity_motor", "position_motor"]
@@ -171,7 +171,7 @@ def test_wheels_steering_and_what_is_to_be_held_are_told_apart(deepbots, tmp_pat
 
 @pytest.mark.parametrize("robot", ["package://pybullet_data/racecar/racecar.urdf", "balancer", "rover"])
 def test_no_wheels_are_grouped_twice(deepbots, tmp_path, robot):
-    deepbots("new", "car", "--urdf", robot)
+    deepbots("new", "car", "--urdf", robot, "--json")
     groups = re.findall(r"^      (\w+): (\[.*\])$", (tmp_path / "car.yaml").read_text(encoding="utf-8"), re.MULTILINE)
     assert groups[0][0] == "wheels"
     assert len({members for _, members in groups}) == len(groups)
@@ -181,7 +181,7 @@ def test_a_robot_file_of_ones_own_is_named_by_its_path_from_the_scenario(deepbot
     (tmp_path / "robots").mkdir()
     (tmp_path / "pyproject.toml").write_text("")
     (tmp_path / "robots" / "my rover.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
-    assert deepbots("new", "mine", "scenarios", "--urdf", "robots/my rover.urdf").code == 0
+    assert deepbots("new", "mine", "scenarios", "--urdf", "robots/my rover.urdf", "--json").code == 0
     assert 'urdf: "../robots/my rover.urdf"' in (tmp_path / "scenarios" / "mine.yaml").read_text(encoding="utf-8")
     assert api.lint(tmp_path / "scenarios" / "mine.yaml") == []
 
@@ -190,18 +190,18 @@ def test_joints_with_odd_names_and_a_file_of_an_odd_name_make_a_scenario_all_the
     text = shipped.robot_path("rover").read_text(encoding="utf-8")
     text = text.replace('"left_wheel"', '"on"').replace('"right_wheel"', '"right: wheel, {1}"')
     (tmp_path / "a\nname: B.urdf").write_text(text, encoding="utf-8")
-    made = deepbots("new", "odd", "--urdf", "a\nname: B.urdf")
+    made = deepbots("new", "odd", "--urdf", "a\nname: B.urdf", "--json")
     assert made.code == 0, made.err
     assert api.compile(tmp_path / "odd.yaml").program.name == "Odd"
 
 
 @pytest.mark.parametrize("names", [("#hip", "hip#1"), ("arm.1", "arm.2"), ("joint[1]", "joint[2]"), ("a*b", "a*bb")], ids=str)
 def test_joints_called_like_copies_components_or_patterns_are_taken_for_joints(deepbots, tmp_path, names):
-    deepbots("new", "arm", "--template", "arm")
+    deepbots("new", "arm", "--template", "arm", "--json")
     text = (tmp_path / "arm.urdf").read_text(encoding="utf-8")
     text = text.replace('"shoulder"', f'"{names[0]}"').replace('"elbow"', f'"{names[1]}"')
     (tmp_path / "odd.urdf").write_text(text, encoding="utf-8")
-    made = deepbots("new", "odd", "--urdf", "odd.urdf")
+    made = deepbots("new", "odd", "--urdf", "odd.urdf", "--json")
     assert made.code == 0, made.err
     assert api.lint(tmp_path / "odd.yaml", preview=True) == []
     assert api.compile(tmp_path / "odd.yaml").program.robots[0].actuators[0].joints == ("turn", *names)
@@ -236,7 +236,7 @@ def test_what_is_odd_in_a_robot_file_of_ones_own_is_mentioned(deepbots, tmp_path
 
 @pytest.mark.parametrize("template", [*Template])
 def test_with_its_schema_a_new_scenario_leads_an_editor_to_its_names(deepbots, tmp_path, template):
-    made = deepbots("new", "mine", "sub", "--template", template, "--schema")
+    made = deepbots("new", "mine", "sub", "--template", template, "--schema", "--json")
     assert made.code == 0, made.err
     text = (tmp_path / "sub" / "mine.yaml").read_text(encoding="utf-8")
     assert text.startswith("# yaml-language-server: $schema=mine.schema.json\n\ndeepbots: 1")
@@ -244,7 +244,9 @@ def test_with_its_schema_a_new_scenario_leads_an_editor_to_its_names(deepbots, t
     schema = json.loads((tmp_path / "sub" / "mine.schema.json").read_text(encoding="utf-8"))
     (robot,) = api.load(tmp_path / "sub" / "mine.yaml").robots.values()
     assert f"Robot.{robot.name}" in schema["$defs"]
-    assert made.out.split() == [f"sub/{file}" for file in ("mine.yaml", *(["mine.urdf"] if template == "arm" else []), "mine.schema.json")]
+    assert json.loads(made.out)["files"] == [
+        f"sub/{file}" for file in ("mine.yaml", *(["mine.urdf"] if template == "arm" else []), "mine.schema.json")
+    ]
 
 
 def test_a_link_where_the_schema_would_go_leaves_nothing_half_written(deepbots, tmp_path):
@@ -278,7 +280,7 @@ def test_a_template_and_a_robot_file_exclude_each_other_and_a_file_is_no_folder_
 def test_a_robot_that_is_bolted_down_begins_above_the_ground(deepbots, tmp_path):
     """The cart of this one is 20 cm high, around the origin of its rail."""
     pytest.importorskip("pybullet_data")
-    deepbots("new", "first", "--urdf", "package://pybullet_data/cartpole.urdf")
+    deepbots("new", "first", "--urdf", "package://pybullet_data/cartpole.urdf", "--json")
     assert "robot: {z: 0.1 m}" in (tmp_path / "first.yaml").read_text(encoding="utf-8")
 
 

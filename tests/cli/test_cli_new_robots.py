@@ -135,7 +135,7 @@ def test_what_is_written_is_silent_even_when_it_is_simulated(deepbots, robot):
 
 @pytest.mark.parametrize("robot", ["tall_foot", "snake"], indirect=True)
 def test_an_arm_that_was_lifted_out_of_the_ground_reaches_for_places_that_were_lifted_with_it(deepbots, tmp_path, robot):
-    assert deepbots("new", "first", "--urdf", f"{robot}.urdf").code == 0
+    assert deepbots("new", "first", "--urdf", f"{robot}.urdf", "--json").code == 0
     text = (tmp_path / "first.yaml").read_text(encoding="utf-8")
     low, high = ([float(word) for word in end.split()] for end in re.findall(r"target: uniform\((.*) \.\. (.*) m\)", text)[0])
     lift = float(re.findall(r"robot: \{z: (\S+) m", text)[0])
@@ -151,19 +151,19 @@ def test_no_position_is_rounded_beyond_a_limit(deepbots, tmp_path, lower, upper)
     text = joint("a", "foot", "arm", "0 0 0.1", limit=limit) + joint("b", "arm", "tip", "0 0 0.4", limit=limit)
     links = link("foot", box("0.3 0.3 0.1"), 20.0) + link("arm", box("0.1 0.1 0.4"), middle="0 0 0.2") + link("tip", box("0.1 0.1 0.1"))
     (tmp_path / "narrow.urdf").write_text(f'<robot name="r">{links}{text}</robot>')
-    assert deepbots("new", "first", "--urdf", "narrow.urdf").code == 0
+    assert deepbots("new", "first", "--urdf", "narrow.urdf", "--json").code == 0
     assert api.lint(tmp_path / "first.yaml", preview=True) == []
 
 
 @pytest.mark.parametrize("robot", ["locked"], indirect=True)
 def test_a_joint_whose_limits_are_the_same_gets_no_motor(deepbots, tmp_path, robot):
-    assert deepbots("new", "first", "--urdf", f"{robot}.urdf").code == 0
+    assert deepbots("new", "first", "--urdf", f"{robot}.urdf", "--json").code == 0
     assert [motor.joints for motor in api.compile(tmp_path / "first.yaml").program.robots[0].actuators] == [("free",)]
 
 
 @pytest.mark.parametrize("robot", ["gripper"], indirect=True)
 def test_a_joint_that_follows_another_gets_no_motor(deepbots, tmp_path, robot):
-    assert deepbots("new", "first", "--urdf", f"{robot}.urdf").code == 0
+    assert deepbots("new", "first", "--urdf", f"{robot}.urdf", "--json").code == 0
     assert "2 of 2 joints move, 2 limbs, 1 follows another joint;" in (tmp_path / "first.yaml").read_text(encoding="utf-8")
     assert [motor.joints for motor in api.compile(tmp_path / "first.yaml").program.robots[0].actuators] == [("left",)]
 

@@ -24,7 +24,7 @@ def test_for_a_scenario_it_has_its_names(deepbots):
 
 
 def test_the_comment_that_leads_an_editor_to_it_is_told(deepbots):
-    deepbots("new", "cartpole", "worlds", "--from", "cartpole")
+    deepbots("new", "cartpole", "worlds", "--from", "cartpole", "--json")
     Path("schemas").mkdir()
     ran = deepbots("schema", "--for", "worlds/cartpole.yaml", "-o", "schemas/mine.json")
     assert (ran.code, ran.out) == (0, "")
@@ -55,7 +55,7 @@ def test_the_scenario_itself_is_not_written_over(deepbots, content):
 
 
 def test_the_robot_file_is_not_written_over(deepbots):
-    deepbots("new", "cartpole", ".", "--from", "cartpole")
+    deepbots("new", "cartpole", ".", "--from", "cartpole", "--json")
     before = Path("robots/urdf/cartpole.urdf").read_bytes()
     ran = deepbots("schema", "--for", "cartpole.yaml", "-o", "robots/urdf/cartpole.urdf")
     assert ran.code == 2

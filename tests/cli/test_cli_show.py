@@ -258,7 +258,7 @@ observation: {was: -1 .. 1 m, before: -1 .. 1 m, gone: -1 .. 1 m}
 robots: {cart: {sensors: {pole_angle: {latency: 40 ms}}}}
 """
     )
-    deepbots("new", "cartpole", "--from", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole", "--json")
     timing = {row["name"]: row for row in json.loads(deepbots("inspect", "aged.yaml", "--json").out)["timing"]}
     ages = {name: timing[name]["age_s"] for name in ("x", "was.x", "before.y", "gone", "cart.pole_angle")}
     assert ages == {"x": 0, "was.x": 0.032, "before.y": 0.064, "gone": 0, "cart.pole_angle": 0.064}
@@ -282,7 +282,7 @@ def test_drawn_masses_and_frictions_are_shown_as_draws(deepbots):
 
 
 def test_a_value_on_several_lines_is_shown_as_a_mapping_on_one(deepbots, tmp_path):
-    deepbots("new", "cartpole", "--from", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole", "--json")
     scenario = tmp_path / "cartpole.yaml"
     start = "\nreset:\n"
     assert start in scenario.read_text()

@@ -261,7 +261,7 @@ def test_a_damaged_run_and_one_of_a_newer_version_are_told_in_one_sentence(deepb
 
 
 def test_a_run_is_not_evaluated_in_a_scenario_that_does_not_fit(deepbots, trained, tmp_path):
-    deepbots("new", "cartpole", "--from", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole", "--json")
     fitting = (tmp_path / "cartpole.yaml").read_text()
     assert deepbots("eval", "mine", "--scenario", "cartpole.yaml", "--episodes", "1").code == 0
     (tmp_path / "cartpole.yaml").write_text(fitting.replace("-0.8 .. 0.8 m/s", "-0.9 .. 0.9 m/s"))
@@ -272,7 +272,7 @@ def test_a_run_is_not_evaluated_in_a_scenario_that_does_not_fit(deepbots, traine
 
 
 def test_an_evaluation_elsewhere_says_where_and_whether_that_is_another_world(deepbots, trained, tmp_path):
-    deepbots("new", "cartpole", "--from", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole", "--json")
     text = (tmp_path / "cartpole.yaml").read_text()
     (tmp_path / "wider.yaml").write_text(text.replace("track:       0.39 m", "track:       0.42 m"))
     assert (
@@ -309,7 +309,7 @@ def test_a_requirement_met_by_a_changed_criterion_names_the_change_in_every_form
     with (tmp_path / "gate.csv").open(newline="") as stream:
         row = next(csv.DictReader(stream))
     assert (row["run"], row["set"], row["remarks"]) == ("mine", "solved=mean_return >= 1 over 4 episodes", remarks[1:-1])
-    deepbots("new", "cartpole", "--from", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole", "--json")
     deepbots("eval", "mine", "--scenario", "cartpole.yaml", "--min-return", "0", "--episodes", "3", "--junit", "other.xml")
     suite = ElementTree.parse(tmp_path / "other.xml").getroot()
     assert suite.find("testcase").get("name") == "mean return of at least 0 (scenario cartpole.yaml)"
@@ -381,7 +381,7 @@ def test_the_list_tells_runs_of_different_scenarios_with_one_name_apart(deepbots
 
 
 def test_warnings_about_another_scenario_are_mentioned_with_a_command_that_can_be_pasted(deepbots, trained, tmp_path):
-    deepbots("new", "cartpole", "--from", "cartpole")
+    deepbots("new", "cartpole", "--from", "cartpole", "--json")
     text = (tmp_path / "cartpole.yaml").read_text()
     (tmp_path / "my cart.yaml").write_text(text.replace("termination:", "signals: {spare: abs(x)}\n\ntermination:"))
     ran = deepbots("eval", "mine", "--scenario", "my cart.yaml", "--episodes", "1")

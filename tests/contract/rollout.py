@@ -51,7 +51,7 @@ def as_bytes(transition: Transition) -> bytes:
     return b"".join(np.asarray(part).tobytes() for part in parts) + struct.pack("<d", reward) + terms + said.encode()
 
 
-def record(environment: Supervisor, seed: int, steps: int = 60) -> list[bytes]:
+def record(environment: Supervisor, seed: int, steps: int = 40) -> list[bytes]:
     return [as_bytes(transition) for transition in episode(environment, seed, steps)]
 
 
