@@ -172,8 +172,9 @@ def _value(spec: Shape) -> str:
             return f"list, each: {_inner(item)}"
         case MappingOf(value=value):
             return f"mapping, each: {_inner(value)}"
-        case Forms(options=options):  # short ones first: what follows `each:` extends to the end
-            return " **or** ".join(dict.fromkeys(sorted(map(_value, options), key=_openness)))
+        case Forms(options=options):  # short ones first
+            texts = dict.fromkeys(sorted(map(_value, options), key=_openness))
+            return " **or** ".join(f"({text})" if "each:" in text and len(texts) > 1 else text for text in texts)
         case Kinds(key=key):
             return f"mapping, kind given by `{key}`"
         case _:
@@ -185,9 +186,9 @@ def _openness(value: str) -> tuple[int, bool]:
 
 
 def _inner(spec: Shape) -> str:
-    """The value of each entry; several forms in parentheses."""
+    """The value of each entry; several forms, and a value with entries of its own, in parentheses."""
     text = _value(spec)
-    return f"({text})" if " **or** " in text and isinstance(spec, Forms) else text
+    return f"({text})" if (" **or** " in text and isinstance(spec, Forms)) or "each:" in text else text
 
 
 def _known(spec: Shape) -> str:
@@ -264,7 +265,8 @@ def _functions() -> str:
         "",
         "[The language](../language.md) describes their use. The examples are about one scenario: a small two-wheeled `rover` with"
         " a camera `eye` and rays `near`, its actions `gas` and `turn`, a `ball`, and a painted line `track`. The unit column gives the"
-        " unit in which a value is stored; 1 is a plain number.",
+        " unit in which a value is stored; 1 is a plain number. *fixed*, *episode* and *step* have the meaning that they have in [the"
+        " keys](keys.md).",
         "",
         "## Units",
         "",

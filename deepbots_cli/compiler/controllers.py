@@ -412,8 +412,11 @@ class RobotBuilder:
                     continue
                 if (command.target.owner, f"{node.occurrence}") in robot.begun_by_message:
                     report = self.values.report(self.values.text((*self.path, "apply", command.name), command.target.text))
-                    headline = f"`{node.function}` starts with a received value, which would be 0 if the first message is lost"
-                    report("DB407", node.start, node.end, headline, "write `on_loss: hold` or `on_loss: skip` under `messages.to_robot`")
+                    headline = (
+                        f"the start of `{node.function}` is a received value; with `on_loss: zero`, it is 0 if the first message is lost"
+                    )
+                    help = "write `on_loss: hold` or `skip` under `messages.to_robot`: the robot applies nothing until a message arrives"
+                    report("DB407", node.start, node.end, headline, help)
 
     def _command(self, name: str, given: object, place: NodePath, driven: ResolvedActuator | None, scope: RobotScope) -> Command | None:
         text = self.values.text(place, given)

@@ -460,7 +460,7 @@ def truncation(namespace: Namespace) -> Truncation:
         if not values.is_invalid("truncation"):
             key = "termination" if "termination" in namespace.scenario.model_fields_set else "reward"
             help = "add `truncation: {max_steps: 1000}`, or a `max_time`"
-            values.add_at_key("DB803", (key,), "an episode may never end", help)
+            values.add_at_key("DB803", (key,), "the scenario has no time limit, so an episode could last forever", help)
         return Truncation()
     steps = namespace.fixed(limits, "max_steps")
     return Truncation(None if steps is None else int(steps), namespace.fixed(limits, "max_time"))

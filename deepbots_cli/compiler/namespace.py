@@ -493,7 +493,7 @@ class ParameterScope(_Scope):
             return Symbol(
                 name, None, refusal=f"{origin.value} has no value before the episode begins; write the expression of `{name}` here"
             )
-        return Symbol(name, None, refusal=f"only parameters can be used here; {origin.value} changes in every step")
+        return Symbol(name, None, refusal=f"only parameters can be used here; `{name}` is {origin.value}, and changes in every step")
 
     def names(self) -> Iterable[str]:
         return [*self.own, *self.namespace.names_of(Origin.PARAMETER)]

@@ -306,7 +306,10 @@ class Observations(NamespaceReader):
         if text.text == "auto":
             low, high = typed.type.interval.low, typed.type.interval.high
             if not (math.isfinite(low) and math.isfinite(high) and low < high):
-                self._values.add("DB102", text.span, "deepbots cannot determine the range of this value", "write it, as in `-1 .. 1 m`")
+                unit = "" if typed.type.dimension == NUMBER else f" {typed.type.dimension}"
+                self._values.add(
+                    "DB102", text.span, "deepbots cannot determine the range of this value", f"write it, as in `-1 .. 1{unit}`"
+                )
                 return None
             return (low,) * count, (high,) * count
         scope, components = self._namespace.scope(Context.FIXED), typed.type.components or None
@@ -319,7 +322,8 @@ class Observations(NamespaceReader):
         pixels = stack * sum(math.prod(entry.value.typed.type.picture or (0,)) * entry.history for entry in entries)
         for found, limit, what in ((seen, MAX_OBSERVED_NUMBERS, "numbers"), (pixels, MAX_OBSERVED_BYTES, "bytes of pictures")):
             if found > limit:
-                headline = f"the observation has {found:,} {what}; the limit is {limit:,}"
+                frames = f" ({found // stack:,} in each of {stack} frames)" if stack > 1 else ""
+                headline = f"the observation has {found:,} {what}{frames}; the limit is {limit:,}"
                 self._values.add_at_key("DB105", ("observation",), headline, "lower `history` of its entries, or `agent.frame_stack`")
 
     def _check_pictures(self, entries: tuple[Observation, ...]) -> None:

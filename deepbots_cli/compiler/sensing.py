@@ -310,8 +310,9 @@ def _resolution(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[fl
         return ()
     steps = namespace.numbers(spec, "resolution", dimension=known.dimension, components=known.components)
     if steps and any(0.0 < step < MIN_RESOLUTION for step in steps):
-        values, headline = namespace.values, f"`resolution` is {min(step for step in steps if step > 0.0):g}"
-        values.add("DB105", (*spec.path, "resolution"), headline, f"write at least {MIN_RESOLUTION:g}, or remove it")
+        values, unit = namespace.values, "" if known.dimension == NUMBER else f" {known.dimension}"
+        headline = f"`resolution` is {min(step for step in steps if step > 0.0):g}{unit}"
+        values.add("DB105", (*spec.path, "resolution"), headline, f"write at least `{MIN_RESOLUTION:g}{unit}`, or remove it")
     return steps if steps and all(steps) else ()
 
 

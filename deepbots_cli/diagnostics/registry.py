@@ -142,7 +142,7 @@ _CATALOG = (
     Rule("DB711", "nothing-to-learn", "warning", "a reward that is the same for all policies"),
     Rule("DB801", "never-true", "warning", "an ending that can never be true"),
     Rule("DB802", "always-true", "error", "an ending that is true in every step"),
-    Rule("DB803", "no-time-limit", "error", "an episode that may never end"),
+    Rule("DB803", "no-time-limit", "error", "the scenario has no time limit"),
     Rule("DB804", "shadowed-limit", "warning", "a limit that is never reached, because another one comes first"),
     Rule("DB805", "timeout-as-termination", "warning", "a time limit written as a termination"),
     Rule("DB806", "ends-at-reset", "error", "an ending that is already true when an episode begins", deep="too"),

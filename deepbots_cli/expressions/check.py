@@ -274,7 +274,7 @@ class _Checker:
             help = f"use a function of two bodies, as in `min(distance({min(fitting)}, {name}))`; {help}"
         if kinds == {Kind.CAMERA}:
             found = f"{found} of another type" if found == Kind.SENSOR.description else found
-            help = help if fitting else "add a sensor with `type: camera` to a robot, and write its name here"
+            help = help if fitting else f"add a sensor with `type: camera` to a robot, and write its name in place of `{name}`"
         raise self._fault("DB203", node, f"`{name}` is {found}, but `{function}` needs {wanted}", help)
 
     def _no_value(self, node: syntax.Name) -> StopChecking:

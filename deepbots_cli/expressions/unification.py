@@ -123,8 +123,10 @@ def require_dimension(
     if is_bare_number(value):
         raise missing_unit(value, dimension, report, unit, noun)
     help, names = _plain_names(value)
+    if help is None:
+        help, names = _remedy(value, dimension)
     headline = f"{what} must be {_expected(dimension, noun)}; this is {value.type.description}"
-    raise report_at(report, "DB503", value, headline, help or _remedy(value, dimension), names=names)
+    raise report_at(report, "DB503", value, headline, help, names=names)
 
 
 def _expected(dimension: Dimension, noun: str | None) -> str:
@@ -164,7 +166,7 @@ def _number_text(number: float) -> str:
 
 def _plain_names(*values: Typed) -> tuple[str | None, list[str]]:
     """A hint for plain numbers that come from names, and the names: a definition probably lacks a unit."""
-    found = {name: text for value in values if value.type.dimension == NUMBER for name, text in _plain_parts(value)}
+    found = {name: text for value in values if value.type.dimension == NUMBER for name, text in _named_numbers(value) if text}
     if not found:
         return None, []
     known = " and ".join(f"`{name}` is {text}, without a unit" for name, text in found.items())
@@ -172,29 +174,32 @@ def _plain_names(*values: Typed) -> tuple[str | None, list[str]]:
     return f"{known}; if {it} a unit, add it where you set the value (in the file or with `--set`)", list(found)
 
 
-def _plain_parts(value: Typed) -> Iterator[tuple[str, str]]:
-    """The named fixed numbers in a sum or product of plain numbers."""
-    if isinstance(value, Reference) and value.symbol.value is not None and value.type.dimension == NUMBER:
-        yield value.symbol.name, " ".join(f"{number:g}" for number in value.symbol.value)
+def _named_numbers(value: Typed) -> Iterator[tuple[str, str]]:
+    """The named fixed numbers in a sum or product, with the text of those without a unit."""
+    if isinstance(value, Reference) and value.symbol.value is not None:
+        is_plain = value.type.dimension == NUMBER
+        yield value.symbol.name, " ".join(f"{number:g}" for number in value.symbol.value) if is_plain else ""
     elif isinstance(value, Operation) and value.operator in ("add", "sub", "mul", "div", "neg"):
         for part in value.args:
-            yield from _plain_parts(part)
+            yield from _named_numbers(part)
 
 
-def _remedy(value: Typed, needed: Dimension) -> str:
-    """The help for a value of another dimension."""
+def _remedy(value: Typed, needed: Dimension) -> tuple[str, list[str]]:
+    """The help for a value of another dimension, and the names whose unit may be wrong."""
     given = value.type.dimension
     if needed == NUMBER:
         unit = str(given)
         divisor = f"({unit})" if "/" in unit or "*" in unit else unit
-        return "remove its unit" if isinstance(value, Constant) and value.unit else f"divide by the unit: `/ {divisor}`"
+        return ("remove its unit" if isinstance(value, Constant) and value.unit else f"divide by the unit: `/ {divisor}`"), []
     if given == NUMBER:
-        return f"give one of its numbers a unit, as in `{needed.example}`"
+        return f"give one of its numbers a unit, as in `{needed.example}`", []
     if given / needed == ANGLE:
-        return "divide by the angle: `/ rad`"
+        return "divide by the angle: `/ rad`", []
     if needed / given == ANGLE:
-        return "multiply by the angle: `* rad`"
-    return f"correct the unit, or multiply by a factor in {needed / given}"
+        return "multiply by the angle: `* rad`", []
+    names = [name for name, text in _named_numbers(value) if not text]
+    of = f" of {' or '.join(f'`{name}`' for name in names)}" if names else ""
+    return f"correct the unit{of}, or multiply by a factor in {needed / given}", names
 
 
 def components_of(values: Sequence[Typed], place: Place, report: FindingReporter) -> Components | None:
@@ -311,7 +316,8 @@ def _require_shape(value: Typed, components: Components | None, what: str, repor
     if components == ANY_SHAPE or found is None or found == components:
         return
     if components is None:
-        help = f"pick a component, or reduce the vector with {'`any` or `all`' if value.type.boolean else '`norm`, `sum`, `max` ...'}"
+        functions = "`any` or `all`" if value.type.boolean else "`norm`, `sum`, `max` ..."
+        help = f"pick a component, such as `.{found[0]}`, or reduce the vector with {functions}"
         raise report_at(report, "DB404", value, f"{what} must be a single value; this is {value.type.shape_description}", help)
     if help and found[0] == "x" and "x" not in components:
         headline = f"{what} has the components {shortened_list(components)}; this is {value.type.shape_description}"

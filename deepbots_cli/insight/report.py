@@ -1,4 +1,4 @@
-"""A report about a run or a group: one HTML file that loads nothing and needs no scripts.
+"""A report about a run or a group: one HTML file that loads nothing and needs no JavaScript.
 
 Numbers come from the files of the runs: logs, and the evaluation of the best model with the most episodes (`verdict.py`). Trajectories and
 clips come from episodes of this evaluation that run again.

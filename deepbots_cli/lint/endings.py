@@ -53,7 +53,7 @@ def never_true(context: RuleContext) -> Iterator[Finding]:
         if all(ending.name in names for names in silent):
             headline = f"`{ending.name}` can never be true"
             notes = tuple(_reasons(context.analysis, ending))
-            yield Finding("DB801", ending.span, headline, "correct the condition, or remove the ending", notes=notes)
+            yield Finding("DB801", ending.span, headline, _help_for_untrue(context.analysis, ending), notes=notes)
         elif own := [] if ending.foreign else context.analysis.own_contacts(context.analysis.scalars(ending)[0]):
             headline = f"`{own[0]}` is never true: links of one robot do not touch each other"
             yield Finding("DB801", ending.span, headline, "use `clearance(...)` of the two links instead, as in `clearance(a, b) < 1 cm`")
@@ -62,6 +62,21 @@ def never_true(context: RuleContext) -> Iterator[Finding]:
 def _truth_over_episode(analysis: Analysis, ending: Expression) -> Interval:
     """Whether an ending holds in an episode without time limit; 0 .. 1 where that depends."""
     return TRUTH if ending.foreign else analysis.ranges_in(0.0, INF).of(analysis.scalars(ending)[0])
+
+
+def _help_for_untrue(analysis: Analysis, ending: Expression) -> str:
+    for touch in _impossible_contacts(analysis, ending):
+        thing, *others = sorted(touch.subjects, key=lambda name: name not in analysis.intangible)
+        other = others[0] if others else "a"
+        return f"use a distance, as in `distance({other}, {thing}) < 5 cm`, or remove `solid: false` of `{thing}`"
+    return "correct the condition, or remove the ending"
+
+
+def _impossible_contacts(analysis: Analysis, ending: Expression) -> list[EngineRead]:
+    """Contacts of an object that is not solid."""
+    (node,) = analysis.scalars(ending)
+    touches = (part for part in analysis.walk_definitions(node) if isinstance(part, EngineRead))
+    return [part for part in touches if part.function in ("contact", "collided") and not analysis.intangible.isdisjoint(part.subjects)]
 
 
 def _reasons(analysis: Analysis, ending: Expression) -> Iterator[str]:
@@ -75,9 +90,7 @@ def _reasons(analysis: Analysis, ending: Expression) -> Iterator[str]:
     for entry in never:
         yield from (f"`{text}` is {words}" for text, known, words in _sides(entry, ranges) if known.low > -INF or known.high < INF)
     (node,) = analysis.scalars(ending)
-    touched = (
-        part for part in analysis.walk_definitions(node) if isinstance(part, EngineRead) and part.function in ("contact", "collided")
-    )
+    touched = _impossible_contacts(analysis, ending)
     intangible = sorted({name for part in touched for name in analysis.intangible.intersection(part.subjects)})
     yield from (f"nothing touches `{name}`, which is not solid" for name in intangible)
     if not never and not intangible and isinstance(meaning := analysis.resolve_aliases(node), Op) and meaning.op == "and":
@@ -242,7 +255,9 @@ def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
         if ending.foreign is None and start.of(analysis.scalars(ending)[0]) == ALWAYS != _truth_over_episode(analysis, ending):
             sides = [side for entry in comparisons(analysis, ending) for side in _sides(entry, start)]
             notes = tuple(f"`{text}` begins {words}" for text, known, words in sides if known.is_finite)
-            help = "change the initial state under `reset`, widen the limit, or reverse the comparison"
+            help = _help_for_early(
+                context.program, ending, "change the initial state under `reset`, widen the limit, or reverse the comparison"
+            )
             yield Finding("DB806", ending.span, f"`{ending.name}` is already true when an episode begins", help, notes=notes)
 
 
@@ -254,7 +269,14 @@ def sometimes_ends_at_reset(simulation: Simulation) -> Iterator[Finding]:
             headline = f"`{ending.name}` is already true at the start of {len(seeds)} of {simulation.plan.resets} episodes"
             more = ", ..." if len(seeds) > _MAX_SEEDS else ""
             notes = (f"with seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds[:_MAX_SEEDS]))}{more}",)
-            yield Finding("DB806", ending.span, headline, "change the initial state under `reset`, or widen the limit", notes=notes)
+            help = _help_for_early(simulation.program, ending, "change the initial state under `reset`, or widen the limit")
+            yield Finding("DB806", ending.span, headline, help, notes=notes)
+
+
+def _help_for_early(program: Program, ending: Expression, help_for_failure: str) -> str:
+    if ending.name not in program.agent.success:
+        return help_for_failure
+    return "change the initial state under `reset`, or add a condition that is false at the start, as in `... and time > 1 s`"
 
 
 def undefined_value(simulation: Simulation) -> Iterator[Finding]:

@@ -23,12 +23,11 @@ _COUNTED_ORIGINS = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMEN
 
 
 def unused_definition(context: RuleContext) -> Iterator[Finding]:
-    """DB205: a parameter, action variable, field, signal, sensor, actuator or message value is defined and never used.
+    """DB205: a parameter, action variable, message field, signal, sensor, actuator or message value is defined and never used.
 
     Most often the name is misspelled elsewhere, or the definition is left over from an earlier version. A sensor is used if `emit`,
     `apply`, the observation or an expression of the task uses it. An actuator without a command has no effect: the joint moves freely.
-    Unused parts of an included robot file are not reported, because they describe the robot and not the task. Definitions of an extended
-    file that the scenario removes are not reported either.
+    Unused parts of an included robot file are not reported, because they describe the robot and not the task.
 
     Example::
 

@@ -120,9 +120,9 @@ def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
     for entry in program.agent.observation:
         shared = sources(entry.value) & goal_sources
         if shared:
-            headline = f"`{entry.value.name}` depends on the goal, but hindsight replay replaces only `desired`"
+            headline = f"`{entry.value.name}` depends on `{min(shared)}`, as the goal does, but hindsight replay replaces only `desired`"
             help = "remove it from the observation: the policy already sees `achieved` and `desired`"
-            also = (Label(program.agent.goal.desired.span, f"also depends on `{min(shared)}`"),)
+            also = (Label(program.agent.goal.desired.span, f"the goal depends on `{min(shared)}`"),)
             yield Finding("DB614", entry.value.span, headline, help, labels=also)
 
 
@@ -361,7 +361,9 @@ def often_saturated(simulation: Simulation) -> Iterator[Finding]:
                 at = with_unit(end, number.dimension)
                 headline = f"`{number.full_name}` is at the end of its range, {at}, in most of the simulated steps"
                 notes = tuple(f"{100 * share:.0f} % of the steps of {by}" for by, share in shares.items())
-                yield Finding("DB611", simulation.range_span(entry), headline, "widen the range to the usual values", notes=notes)
+                yield Finding(
+                    "DB611", simulation.range_span(entry), headline, "widen the range so that it covers the usual values", notes=notes
+                )
                 break
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import accumulate
 from typing import NamedTuple
 
 from deepbots_cli.analysis import Analysis
@@ -11,6 +12,7 @@ from deepbots_cli.analysis.ranges import Ranges
 from deepbots_cli.analysis.returns import RewardTerms, return_range
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.document.nodes import NodePath
+from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import Scalar, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Typed, children
@@ -22,6 +24,8 @@ _DOMINANCE_RATIO = 100.0
 _ROUNDING = 1e-9
 _MIN_STEPS = 200
 """Fewer simulated steps allow no conclusion."""
+_MAX_SHOWN_CHARACTERS = 40
+"""Longest divisor that the help of a finding repeats."""
 
 
 # Without bound
@@ -38,9 +42,9 @@ class Singularity(NamedTuple):
 def reward_unbounded(context: RuleContext) -> Iterator[Finding]:
     """DB701: a term of the reward has no bound: its divisor may be zero, or it takes the exponential of an unbounded value.
 
-    A single step with a very small divisor outweighs all other steps, also in the learned value function. At zero the reward is
-    undefined and the run stops. Divisors that a condition (`a if condition else b`) or an ending keeps away from zero are
-    not reported.
+    A single step with a very small divisor outweighs all other steps, also in the learned value function. At zero the
+    reward is undefined, and training fails with an error. Divisors that a condition (`a if condition else b`) or an
+    ending keeps away from zero are not reported.
 
     Example::
 
@@ -66,7 +70,11 @@ def _unbounded(context: RuleContext, term: Expression, found: Singularity) -> Fi
     also = () if found.value is term else (Label(term.span, f"`{term.name}` depends on it"),)
     if found.is_divisor:
         headline = f"`{term.name}` grows without bound as `{part}` approaches zero"
-        help = "keep the divisor away from zero, or use an exponential; for a length `d`: `max(d, 1 cm)` or `exp(-d / 10 cm)`"
+        unit = "" if found.node.type.dimension == NUMBER else f" {found.node.type.dimension}"
+        depths = list(accumulate((character == "(") - (character == ")") for character in part))
+        divisor = part[1:-1] if part.startswith("(") and depths.index(0) == len(part) - 1 else part
+        lowest = f"`max({divisor if len(divisor) <= _MAX_SHOWN_CHARACTERS else 'd'}, 0.1{unit})`"
+        help = f"keep the divisor away from zero, as in {lowest}, or use an exponential, as in `exp(-d / 10 cm)` for a length `d`"
         return Finding("DB701", place, headline, help, labels=also)
     headline = f"`{term.name}` grows with the exponential of `{part}`, which has no upper bound"
     return Finding("DB701", place, headline, "bound the argument, as in `min(x, 3)`", labels=also)
@@ -228,7 +236,8 @@ def inactive_term(context: RuleContext) -> Iterator[Finding]:
             yield Finding("DB704", term.span, headline, "use `clearance(...)` of the two links instead, as in `clearance(a, b) < 1 cm`")
             continue
         if all(term.name in names for names in inactive) and not _is_turned_off(term.typed, context.analysis):
-            yield Finding("DB704", term.span, f"`{term.name}` is zero in every step", "remove the term, or correct its condition")
+            faulty = "condition" if isinstance(term.typed, Operation) and term.typed.operator == "where" else "expression"
+            yield Finding("DB704", term.span, f"`{term.name}` is zero in every step", f"remove the term, or correct its {faulty}")
 
 
 def _always_zero(analysis: Analysis) -> set[str]:

@@ -15,6 +15,8 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import NEVER, Interval, hull
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Op, Scalar, walk
+from deepbots_cli.expressions.types import Reference
+from deepbots_cli.expressions.types import walk as walk_typed
 from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Frame, Triple, quaternion
 from deepbots_cli.lint.context import RuleContext, Simulation
@@ -81,7 +83,9 @@ def command_cut_off(context: RuleContext) -> Iterator[Finding]:
             if asked.is_finite and not asked.is_single and done < _MIN_SHARE * (asked.high - asked.low):
                 dimension = command.target.typed.type.dimension
                 able = f"receives commands of {range_text(asked, dimension)}, but its limits are {range_text(limits, dimension)}"
-                help = "scale the action to the limits of the actuator"
+                names = [node.symbol.name for node in walk_typed(command.target.typed) if isinstance(node, Reference) and node.symbol.value]
+                changed = " or ".join(f"`{name}`" for name in names) or "the command or the range of the action"
+                help = f"change {changed} so that the commands stay within `{range_text(limits, dimension)}`"
                 yield Finding("DB312", command.target.span, f"`{command.actuator.name}` {able}", help)
 
 
@@ -116,8 +120,8 @@ def _follows_action(analysis: Analysis, target: Scalar, robot: Robot) -> bool:
 
 def joint_driven_twice(context: RuleContext) -> Iterator[Finding]:
     """DB313: two actuators drive the motor of the same joint, so the command of the first one is lost. A joint has one
-    motor, and the last command overrides the others. The usual cause is a copied line, which leaves the joint on the
-    other side without an actuator. A torque or a spring (`stiffness`) adds to the motor, and is not reported.
+    motor, and the last command overrides the others. The usual cause is a copied line, such as the left wheels twice: the
+    right wheels then have no actuator. A torque or a spring (`stiffness`) adds to the motor, and is not reported.
 
     Example::
 

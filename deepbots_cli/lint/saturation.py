@@ -33,8 +33,8 @@ def saturates_before_termination(context: RuleContext) -> Iterator[Finding]:
     """DB603: a value leaves its range in the observation before it ends the episode: the agent cannot see the failure coming.
 
     Between the end of the range and the limit the policy sees a constant, exactly where it has to act. The rule also checks values that
-    depend on the quantity, such as a clamped fraction of it. It reports nothing if at least one entry of the observation still changes up
-    to the limit.
+    are computed from the value in the condition, such as `clamp(x / track, -1 .. 1)`. It reports nothing if at least one entry of the
+    observation still changes up to the limit.
 
     Example::
 
@@ -142,10 +142,11 @@ def _unseen(context: RuleContext, analysis: Analysis, view: BlindNumber, ending:
         headline += f", the limit of `{ending.name}`"
     else:
         headline = f"`{name}` is already constant shortly before `{ending.name}` reaches its limit"
-    place = ending.span
+    place, label = ending.span, f"`{ending.name}` ends the episode here"
     if comparison.value.owner:
         place = context.text(comparison.value.owner).part(comparison.node.start, comparison.node.end)
-    also = (Label(place, f"`{ending.name}` ends the episode here"),)
+        label = label if comparison.value.name == ending.name else f"the limit of `{ending.name}`"
+    also = (Label(place, label),)
     return Finding("DB603", context.range_span(number.entry), headline, help, labels=also, fix=fix)
 
 

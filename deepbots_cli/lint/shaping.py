@@ -226,9 +226,9 @@ def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
     """DB710: a term pays more as the episode approaches a failure.
 
     The agent learns to stay close to the failure, or to cause it. The usual cause is a missing sign. The rule checks lengths and angles
-    that are deviations from zero (`abs(x)`, `tilt(robot)`, a distance) and that cause a failure when they are large. It reports a term that
-    always pays more just below the limit than at zero. It reports nothing if another term or a success uses the same quantity: the
-    approach may then be intended. Speeds are not checked.
+    that are deviations from zero (`abs(x)`, `tilt(robot)`, a distance) and that cause a failure when they are large. It reports a term
+    that pays more just below the limit than at zero, whatever the other values are. It reports nothing if another term or a success uses
+    the same quantity: the approach may then be intended. Speeds are not checked.
 
     Example::
 

@@ -86,10 +86,10 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
 def odd_scale(context: RuleContext) -> Iterator[Finding]:
     """DB507: the size or the mass of an object is implausible.
 
-    A puck with `radius: 4 m` is 8 m across; its radius is probably in centimeters. The rule reports an object that is at least four times
-    as large as a robot that begins within it; a movable object with a density below 0.1 or above 25 000 kg/m^3 (air: 1.2, osmium: 22 600);
-    and a movable object that is 100 000 times as heavy as all robots together. For an object that must not move, write `fixed: true`
-    instead of a large mass.
+    A puck with `radius: 4 m` is 8 m across; its radius is probably in centimeters. The rule reports an object in which a robot begins, and
+    which is at least four times as large as this robot; a movable object with a density below 0.1 or above 25 000 kg/m^3 (air: 1.2,
+    osmium: 22 600); and a movable object that is 100 000 times as heavy as all robots together. For an object that must not move, write
+    `fixed: true` instead of a large mass.
 
     Example::
 
@@ -332,7 +332,7 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
 
     If a start does not meet the requirement, deepbots draws the layout, all positions and the joints again, at most
     `reset.attempts` times. Parameters keep their values for the episode, so the requirement stays false, and the reset
-    fails. Draw the parameter from values that meet the requirement, or draw positions under `place`.
+    fails. Draw the parameter from values that meet the requirement, or draw a position under `reset.place` instead.
 
     Example::
 
@@ -359,11 +359,11 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
     sources = sorted((analysis.drawn_dependencies(node) | names) & drawn)
     bent = {subject.partition(".")[0] for fact in facts if not _is_of_root(program, fact) for subject in fact.subjects}
     if sources and not _is_drawn_again(program, places, bent) and analysis.start.of(node) != ALWAYS:
-        headline = f"if `require` is false, deepbots draws positions and joints again, but not `{sources[0]}`, on which it depends"
-        help = (
-            f"draw `{sources[0]}` only from values that meet the requirement (`choice(-1 | 1) * uniform(6 .. 20 cm)` for two intervals), "
+        headline = f"`require` depends on `{sources[0]}`, which deepbots does not draw again if a start does not meet `require`"
+        help = f"draw `{sources[0]}` only from values that meet `require`, as in `choice(-1 | 1) * uniform(6 .. 20 cm)` (two intervals)"
+        yield Finding(
+            "DB812", require.span, headline, f"{help}, or replace `{sources[0]}` with a position that is drawn under `reset.place`"
         )
-        yield Finding("DB812", require.span, headline, f"{help}or draw positions under `reset.place`")
 
 
 def _is_of_root(program: Program, fact: EngineRead) -> bool:

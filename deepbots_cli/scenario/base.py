@@ -173,13 +173,12 @@ class Forms:
     def validate(self, value: object, info: ValidationInfo) -> object:
         chosen = self.index(value)
         if chosen is None:
-            raise mismatch(noun_of(self), self.help, value=value)
+            raise mismatch(noun_of(self), self.help_for(value), value=value)
         return _validator(self.annotations[chosen]).validate_python(value, context=info.context)
 
-    @property
-    def help(self) -> str | None:
-        """An example of the first option that is a single value."""
-        hints = (option.help_for(None) for option in self.options if isinstance(option, FieldType))
+    def help_for(self, value: object) -> str | None:
+        """The help of the first option that is a single value."""
+        hints = (option.help_for(value) for option in self.options if isinstance(option, FieldType))
         return next((hint for hint in hints if hint), None)
 
     def index(self, value: object) -> int | None:

@@ -122,8 +122,16 @@ def word_replacement(word: str, words: Sequence[str]) -> Replacement | None:
 _ENDS = rf"\s*({_NUMBER})([ ]?[A-Za-z%][\w*/^%]*)?\s*(?:-|to|:|\u2013|\u2026)\s*({_NUMBER}(?:[ ]?[A-Za-z%][\w*/^%]*)?)\s*"
 
 
+_SCALAR_RANGE = rf"\s*({_NUMBER})\s*\.\.\s*({_NUMBER})((?:\s*[A-Za-z%][\w*/^%]*)?)\s*"
+
+
 def _range_replacement(value: object) -> str | None:
-    """The range that two numbers in a list, or with another sign between them, were meant to be."""
+    """The range that is meant by two numbers in a list or with another sign between them, or by a range for each component."""
+    given = list(value.values()) if isinstance(value, Mapping) else value if isinstance(value, list) else []
+    parts = [re.fullmatch(_SCALAR_RANGE, part) if isinstance(part, str) else None for part in given]
+    if ranges := [part for part in parts if part and part[3] == (parts[0] or part)[3]]:
+        lows, highs = " ".join(part[1] for part in ranges), " ".join(part[2] for part in ranges)
+        return f"{lows} .. {highs}{ranges[0][3]}" if len(ranges) == len(given) else None
     if isinstance(value, list) and len(value) == 2 and all(isinstance(end, (int, float)) for end in value):
         return f"{value[0]:g} .. {value[1]:g}"
     ends = re.fullmatch(_ENDS, value) if isinstance(value, str) else None
@@ -529,16 +537,17 @@ class Column(FieldType):
 
 @dataclass(frozen=True)
 class Range(Parsed):
-    """Two bounds, `lo .. hi unit`; with `auto` the word `auto` stands for the known interval."""
+    """Two bounds, `lo .. hi unit`, with `vector` for each component; with `auto` the word `auto` stands for the known interval."""
 
     dimension: str
     auto: bool = False
+    vector: bool = False
 
     noun = "a range"
 
     @property
     def example(self) -> str:
-        unit = "" if self.dimension == "any" else MEASURES[self.dimension][1].partition(" ")[2]
+        unit = "" if self.dimension == "any" and not self.vector else MEASURES[self.dimension][1].partition(" ")[2]
         return f"-1 .. 1 {unit}".strip()
 
     def check(self, value: Any) -> None:
@@ -546,7 +555,11 @@ class Range(Parsed):
             raise mismatch(self.noun, self.help_for(value), self.replacement_for(value), value=value)
 
     def help_for(self, value: object) -> str:
-        return f"write it like `{_range_replacement(value) or self.example}`{', or `auto`' if self.auto else ''}"
+        near, example = _range_replacement(value), self.example
+        shown = f"write `{near}`" if near else f"write it like `{example}`"
+        if self.vector and not near:
+            shown += f" (a vector: `{example.replace('-1 .. 1', '-1 -2 .. 1 2')}`)"
+        return f"{shown}, or `auto`" if self.auto else shown
 
     def replacement_for(self, value: object) -> Replacement | None:
         near = _range_replacement(value) if isinstance(value, str) else None

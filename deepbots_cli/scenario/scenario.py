@@ -206,7 +206,7 @@ class Agent(Section):
 class Observed(Section):
     """One entry of the observation, with further settings besides its range."""
 
-    range: Annotated[str, Range("any", auto=True)]
+    range: Annotated[str, Range("any", auto=True, vector=True)]
     """The range that deepbots maps to [-1, 1], such as `-0.4 .. 0.4 m`. `auto` uses the range that deepbots derives, for example from joint
     limits."""
     history: SmallInt = 1
@@ -226,7 +226,7 @@ class Goal(Section):
     """The value to reach."""
     tolerance: Annotated[Scalar, Quantity("any", minimum=0)]
     """Largest distance between `achieved` and `desired` at which the goal is reached."""
-    range: Annotated[str, Range("any")]
+    range: Annotated[str, Range("any", vector=True)]
     """Range of `achieved` and `desired`, which is mapped to [-1, 1] in the observation."""
     noise: Noise = 0
     """Standard deviation of the noise on `achieved`: in the unit of `achieved`, such as `5 mm`, or as `2 %` of the value."""
@@ -363,7 +363,7 @@ Augmentation = Annotated[
     Many[Annotated[str, Reference("parameter or signal")]] | dict[SharedName, Annotated[Measured | Signal, FORMS]], FORMS
 ]
 Reward = dict[LocalName, Annotated[PythonTerm | Annotated[Scalar, Expression("reward")], FORMS]]
-Observation = dict[Annotated[str, Reference("value")], Annotated[Observed | Annotated[str, Range("any", auto=True)], FORMS]]
+Observation = dict[Annotated[str, Reference("value")], Annotated[Observed | Annotated[str, Range("any", auto=True, vector=True)], FORMS]]
 
 
 # The beginning of an episode

@@ -86,7 +86,7 @@ class Sensor(Section):
     """Growth of the bias, in the unit of the sensor per second."""
     resolution: Annotated[Scalar, Quantity("reading", minimum=0)] = 0
     """Smallest difference between two readings; readings are rounded to a multiple of it."""
-    range: Annotated[str, Range("reading")] | None = None
+    range: Annotated[str, Range("reading", vector=True)] | None = None
     """Range of the sensor; deepbots clips readings to it."""
 
 

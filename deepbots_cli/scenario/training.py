@@ -315,6 +315,7 @@ SET_ELSEWHERE_HELP: Mapping[str, str] = {
     "seed": "set it on the command line: `deepbots train --seed 1`",
     "verbose": "set it on the command line: `deepbots train --quiet`",
     "tensorboard_log": "remove it: every run writes its TensorBoard log into its own directory",
+    "policy": "remove it: deepbots chooses the policy class; `network: {hidden: [64, 64]}` sets its layers",
     "policy_kwargs": "write `network: {hidden: [64, 64], activation: tanh}`",
     "net_arch": "write `network: {hidden: [64, 64]}`",
     "replay_buffer_class": "write `replay: her`",

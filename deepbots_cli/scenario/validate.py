@@ -320,7 +320,7 @@ def _help_for_missing_value(data: object, path: NodePath) -> str:
         case Kinds() as shape:
             hint = f"write it like `{{{shape.key}: {shape.names[0]}}}`"
         case Forms() as shape:
-            hint = shape.help
+            hint = shape.help_for(None)
         case shape:
             hint = _keys_of(shape)
     return hint or f"write {noun_of(shape)}"
@@ -380,7 +380,8 @@ def _help_for_renamed(root: nodes.MappingNode, data: object, path: NodePath) -> 
     if key is None or word is None:
         return None
     if not fits(section_fields(section)[key], to_data(value)):
-        return about_key(data, (*path[:-1], key))
+        elsewhere = SET_ELSEWHERE_HELP.get(str(path[-1])) if isinstance(section, type) and issubclass(section, Training) else None
+        return elsewhere or f"write `{key}` instead. {about_key(data, (*path[:-1], key))}"
     behind = word.span.source.text[word.span.end : value.span.end] if value.span.source is word.span.source else ""
     return f"write `{key}{behind}`" if re.fullmatch(rf":[^\n]{{1,{_MAX_EXAMPLE_CHARACTERS}}}", behind) else f"write `{key}`"
 

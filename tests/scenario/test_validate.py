@@ -49,7 +49,7 @@ FAULTS = [
         "DB103",
         "[-0.4, 0.4]",
         "expected a mapping or a range, found a list",
-        "like `-1 .. 1`",
+        "write `-0.4 .. 0.4`, or `auto`",
     ),
     ("alive: 1", "alive: [1]", "DB103", "[1]", "expected a mapping or an expression, found a list", None),
     (

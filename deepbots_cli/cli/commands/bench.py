@@ -71,7 +71,8 @@ def command(
     the time of an environment step divided by the time of its physics. The difference is the cost of messages, observation, reward and
     endings. Resets are not timed. If another engine steps this world at least 1.5 times as fast, a line names it.
 
-    With several engines, or with `batch`, resets are timed too, actions are random, and a table says where the time goes.
+    With several engines, or with `--engine batch` (many worlds in MuJoCo), resets are timed too, actions are random, and a table says
+    where the time goes.
 
     By default, the measurement takes at most 20 s. With several engines, each is measured at least once, even if that takes more than
     20 s. With --steps or --pairs, this limit does not apply. Larger numbers take longer, and the ratio varies less between measurements.

@@ -37,8 +37,8 @@ def command(
 ) -> None:
     """Compare trained policies on the same start states.
 
-    A folder of `deepbots train --seeds` is a group. Single runs of one scenario, trained in the same engine, form a group too. If all
-    given runs would then be in one group, every run is a group of its own, and the runs are compared with each other.
+    A folder of `deepbots train --seeds` is a group. Single runs of one scenario, trained in the same engine, form a group too. If this
+    gives only one group, each of its runs is a group of its own.
 
     Every run is evaluated in the scenario of the first run, on the same held-out starts, and every group is compared with the first
     group. For each group, the table shows how much its mean return differs from that of the first group, with a 95 % confidence interval

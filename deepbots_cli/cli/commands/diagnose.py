@@ -61,9 +61,9 @@ def command(
     """Explain why a training does not learn, or why an episode ended.
 
     For a run, deepbots reads the logs of the training, and runs a few short episodes with its policy, with random actions and with
-    constant ones. It prints the causes that apply, the most likely first, each with its numbers and what to try. If the
-    policy solves the task in the training episodes, although it explores in them, deepbots normally finds no cause. For a group, every
-    seed has its own causes.
+    constant ones. It prints the causes that apply, the most likely first, each with its numbers and what to try. If the policy already
+    solves the task in the training episodes, in which it still explores, deepbots normally finds no cause. For a group, every seed has its
+    own causes.
 
     With --episode, deepbots runs this episode again, from its seed or with its recorded actions. It prints which ending came, and when.
     If the ending compares a value with a limit, it prints the margin: how far the value is past the limit. It also prints how

@@ -10,6 +10,8 @@ from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
+
 from deepbots_cli import api, rollout
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.cli import records, terminal
@@ -18,7 +20,6 @@ from deepbots_cli.cli.command import (
     Engine,
     Json,
     Overrides,
-    Scenario,
     Seed,
     Stage,
     Start,
@@ -44,7 +45,13 @@ COUNT = 3
 
 
 def command(
-    scenario: Scenario,
+    scenario: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENARIO",
+            help="A scenario file, the name of a scenario that comes with deepbots, or the file of a failed episode (.json).",
+        ),
+    ],
     overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
@@ -82,7 +89,8 @@ def command(
     Commas separate actions, and colons separate the numbers of one action: --driver 0.5:0.5,0.5:-0.5
 
     For the same seed, episode K of `try` starts differently than in `test`, `eval`, `view` and `render`, which use held-out starts.
-    `deepbots view SCENARIO --driver NAME --seed N --episode K` shows held-out episode K, which is not the episode that you tried.
+    `deepbots view SCENARIO --driver NAME --seed N --episode K` shows held-out episode K. No command shows the episodes of `try`
+    themselves.
 
     If an episode raises an error, training and evaluation save this episode in the run directory. To repeat it, give its file:
 

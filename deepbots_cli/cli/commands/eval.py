@@ -81,8 +81,8 @@ def command(
         bool,
         option(
             "--details",
-            "Also show the result in each stage of the curriculum, and by the values drawn at random: each range is divided into parts,"
-            " with a result for each part.",
+            "Also show the result in each stage of the curriculum, and for each value drawn at random: the result of each quarter of the"
+            " episodes, ordered by this value (of each value, if there are at most 6).",
         ),
     ] = False,
     as_json: Annotated[bool, option("--json", "Print the result as JSON.")] = False,
@@ -137,9 +137,9 @@ def command(
 
     --set overrides values of the scenario of the run, or of the scenario that --scenario names. This scenario must have the observation,
     action and messages of the training; its world may differ. --engine runs the episodes in another engine. With several engines, such as
-    --engine mujoco,pybullet, every engine runs episodes from the same starts. A second table shows how much the result in each other engine
-    differs from that in the first, with a 95 % interval. The interval is computed from one difference for each start, or for a group, from
-    one difference for each seed. With several engines, the requirements apply to each of them.
+    --engine mujoco,pybullet, every engine runs episodes from the same starts. A second table shows how much the result in each other
+    engine differs from that in the first, with a 95 % interval. For a run, the interval is computed from one difference for each start;
+    for a group, from one difference for each seed. With several engines, the requirements apply to each of them.
 
     With `--episodes failed`, the command repeats the failed episodes of the last evaluation of the run, and counts how they end.
     Evaluations with --set, --scenario, --case, --stage or another engine do not count as the last one. For the first 10 episodes, the

@@ -39,9 +39,9 @@ def command(
     """Export the policy of a run as ONNX.
 
     The bundle is a folder that runs with onnxruntime alone. policy.onnx takes an observation in the form that the environment gives, with
-    numbers scaled to -1 .. 1, and returns an action in the form that the environment takes. policy_si.onnx takes the observation, and
-    returns the command, in SI units. card.json and README.md hold names, units, ranges, the control rate, the result with its interval, and
-    versions.
+    numbers scaled to -1 .. 1, and returns an action in the form that the environment takes. policy_si.onnx does the same in SI units: it
+    takes the observation without scaling, and returns the action as `command`. card.json and README.md hold names, units, ranges, the
+    control rate, the result with its interval, and versions.
 
     --check compares the observation, action and messages of the bundle with those of a scenario. The exit code is 0 if the policy fits,
     and 1 if it does not.

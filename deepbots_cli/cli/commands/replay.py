@@ -30,7 +30,10 @@ def command(
     tolerance: Annotated[
         float,
         option(
-            "--tolerance X", "With --verify, a number may differ by X, and a number larger than 1 by X times its value.", min=0.0, max=1.0
+            "--tolerance X",
+            "With --verify, a number may differ by X, or by X times its absolute value if that is larger.",
+            min=0.0,
+            max=1.0,
         ),
     ] = 0.0,
     scenario: Annotated[
@@ -44,10 +47,10 @@ def command(
 
     Without --verify, the command prints the scenario, seed, driver and engine of the recording, and a table of its episodes.
 
-    --verify compiles the scenario in the recording, and runs each episode again from its seed with its recorded actions. The command
-    names the first step and the first quantity that differ, with exit code 1. On the machine of the recording, with the same
-    versions, nothing differs. On another machine or with other versions, use --tolerance X: a number may then differ by X, and a
-    number larger than 1 by X times its value. Hashes, images, contact forces and the points of scans are then not compared.
+    --verify compiles the scenario in the recording, and runs each episode again from its seed with its recorded actions. The command names
+    the first step and the first quantity that differ, with exit code 1. On the machine of the recording, with the same versions, nothing
+    differs. On another machine or with other versions, use --tolerance X: a number may then differ by X, or by X times its absolute value
+    if that is larger. Hashes, images, contact forces and the points of scans are then not compared.
 
     --verify --scenario SCENARIO runs the episodes in another scenario, such as your file after an edit, and lists the settings that
     differ. Its observation, action and messages must be the same. --set overrides values of this scenario.

@@ -28,7 +28,7 @@ def command(
 
     The file holds the result with its interval, learning curves, reward terms, endings, plots of the return against each value that
     is drawn at random at the start of an episode, trajectories, and clips of the best, the median and the worst episode. It also holds
-    the scenario, the findings of lint and the versions. It loads nothing from elsewhere, needs no scripts, and can be sent and archived
+    the scenario, the findings of lint and the versions. It loads nothing from elsewhere, needs no JavaScript, and can be sent and archived
     as it is. It follows the light or dark setting of the browser.
 
     The results come from an evaluation of the best model; if there are several evaluations, from the one with the most episodes.

@@ -45,7 +45,7 @@ def command(
 
     The return and the success rate come from an evaluation of the best model on held-out episodes; if there are several evaluations, from
     the one with the most episodes. Until the first evaluation, they come from the most recent training episodes, in which the policy
-    explores. The column `score` shows the source.
+    explores. The column `score` shows where they come from: `evaluation` or `training`.
 
     \b
       deepbots runs
