@@ -16,7 +16,7 @@ Any other exception that reaches the user is a bug of deepbots.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,6 +31,14 @@ class DeepbotsError(Exception):
     def full_message(self) -> str:
         """The message with its notes (`add_note`), each in a line of its own."""
         return "\n".join([str(self), *getattr(self, "__notes__", ())])
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For `pickle`, which else would pass the message to the constructor of each kind."""
+        return _restored, (type(self), *self.args), self.__dict__
+
+
+def _restored(kind: type[DeepbotsError], *arguments: object) -> DeepbotsError:
+    return kind.__new__(kind, *arguments)
 
 
 class ScenarioError(DeepbotsError):

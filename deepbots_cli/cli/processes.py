@@ -8,9 +8,26 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.errors import UsageError
+from deepbots_cli.learning.spread import ONE_BY_ONE, Spread
 
 if TYPE_CHECKING:
     from deepbots_cli.cluster import Cluster
+
+
+def check_dividable(workers: int | None, address: str | None, count: int, reason: str) -> None:
+    """Raises: UsageError: There are workers for `count` parts, fewer than two; `reason` says why."""
+    option = "--workers" if workers is not None else "--cluster" if address is not None else None
+    if option is not None and count < 2:
+        raise UsageError(f"{option} has nothing to divide, since {reason}")
+
+
+@contextmanager
+def spread(workers: int | None, address: str | None, count: int | None = None, *, quiet: bool = False) -> Iterator[Spread]:
+    """Where at most `count` calls run: in this process, unless an option names workers."""
+    if workers is not None and count is not None:
+        workers = min(workers, count)
+    with cluster(workers, address, quiet=quiet) as found:
+        yield found or ONE_BY_ONE
 
 
 @contextmanager

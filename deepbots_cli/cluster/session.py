@@ -12,23 +12,26 @@ import logging
 import os
 import secrets
 import shutil
+import signal
 import socket
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+import threading
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from deepbots_cli.api import build as api_build
-from deepbots_cli.cluster.shards import RemoteShards
-from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.learning.environments import WorldFactory
-from deepbots_cli.learning.run import Run
-from deepbots_cli.learning.shards import world_numbers
+from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
+from deepbots_cli.learning.spread import Attempt, CallOptions, Item, Result
 from deepbots_cli.processes import python_environment
-from deepbots_cli.program.task import Training
-from deepbots_cli.rollout.collector import ShardPool
+
+if TYPE_CHECKING:  # what evaluates and trains imports torch; tests of scenarios do without
+    from deepbots_cli.learning.environments import WorldFactory
+    from deepbots_cli.learning.run import Run
+    from deepbots_cli.program.task import Training
+    from deepbots_cli.rollout.collector import ShardPool
 
 MAX_WORKERS = 1024
 _OBJECT_STORE_BYTES = 512 << 20
@@ -40,11 +43,12 @@ _SETTINGS = {
     "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",
     "RAY_OBJECT_STORE_ALLOW_SLOW_STORAGE": "1",  # in a container with a small /dev/shm
     "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_worker_niceness": "0",  # workers have the priority of this process; by default they come after all others
 }
 
 
 class Cluster:
-    """Workers for the shards of trainings; a context manager.
+    """Workers for the shards of a training, and for several trainings, evaluations or tests (`map`); a context manager.
 
     Args:
         workers: Start a Ray with this number of workers on this machine. It ends with the block.
@@ -70,10 +74,11 @@ class Cluster:
             raise UsageError("this process uses a Ray cluster already; end it with ray.shutdown()")
         with ExitStack() as stack:
             stack.enter_context(_environment(_SETTINGS))
-            if self._workers is not None:
-                self._start(stack)
-            else:
-                self._join(stack)
+            with _termination_handler_kept():
+                if self._workers is not None:
+                    self._start(stack)
+                else:
+                    self._join(stack)
             self._stack = stack.pop_all()
         return self
 
@@ -131,11 +136,24 @@ class Cluster:
         Raises:
             UsageError: A worker does not see the run, or has another version of deepbots or of its libraries.
         """
+        from deepbots_cli.cluster.shards import RemoteShards
+        from deepbots_cli.learning.shards import world_numbers
+
         if not isinstance(build, partial) or build.func is not api_build:
             raise UsageError("the argument `build` makes worlds in this process only; leave out the workers")
         pool = RemoteShards(run, build.keywords["permissions"], world_numbers(training), self.workers, note)
         stack.callback(pool.close)
         return pool
+
+    is_here = False
+
+    def map(
+        self, function: Callable[[Item, Attempt], Result], items: Iterable[Item], **options: Unpack[CallOptions]
+    ) -> Generator[Result | DeepbotsError | None]:
+        """Call a function with each item on the workers, as many at a time as there are workers; see `Spread.map`."""
+        from deepbots_cli.cluster.tasks import Tasks
+
+        return Tasks(lambda: self.workers, options, is_joined=self._address is not None).run(function, items)
 
 
 def _folder_for_sockets() -> str:
@@ -184,6 +202,19 @@ def _environment(settings: Mapping[str, str]) -> Iterator[None]:
             else:
                 os.environ[name] = value
         read_again()
+
+
+@contextmanager
+def _termination_handler_kept() -> Iterator[None]:
+    """The handler of SIGTERM stays as it is; Ray sets one that ends the process."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager

@@ -45,7 +45,7 @@ class ShardWorker:
     """An actor with shards of one training."""
 
     def __init__(self, run: Path, number: int) -> None:
-        _write_output_to(run / "workers" / f"{number}.log")
+        write_output_to(run / "workers" / f"{number}.log")
         from deepbots_cli.learning.sb3.algorithms import torch_settings
 
         torch_settings().__enter__()  # for the life of this process
@@ -58,7 +58,7 @@ class ShardWorker:
             digest = Run.open(self._path).digest
         except DeepbotsError:
             digest = ""
-        return {"host": socket.gethostname(), **_versions(), "digest": digest}
+        return {"host": socket.gethostname(), **library_versions(), "digest": digest}
 
     def work(self, number: int, beginning: Beginning | None, order: Order | None, memory: Mapping[str, Array]) -> Any:
         """Make a shard if there is a `beginning`, and return the observations, or the harvest for an order.
@@ -84,17 +84,17 @@ class ShardWorker:
             return error
 
 
-def _versions() -> dict[str, str]:
+def library_versions() -> dict[str, str]:
     return {"deepbots": deepbots_cli.__version__, **{name: text for name, text in versions().items() if name in _LIBRARIES}}
 
 
-def _write_output_to(path: Path) -> None:
+def write_output_to(path: Path) -> None:
     """Write standard output and error of this process into a file."""
     sys.stdout.flush()
     sys.stderr.flush()
     with suppress(OSError):  # a folder that is not shared is refused in words, after `describe`
         path.parent.mkdir(exist_ok=True)
-        log = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        log = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0), 0o644)
         os.dup2(log, 1)
         os.dup2(log, 2)
         os.close(log)
@@ -240,7 +240,7 @@ class RemoteShards:
         host, digest = there.pop("host"), there.pop("digest")
         if not digest:
             raise UsageError(f"the worker on {host} does not see {self._run.path.absolute()}; train in a folder that all nodes share")
-        for name, version in _versions().items():
+        for name, version in library_versions().items():
             if there.get(name) != version:
                 raise UsageError(f"the worker on {host} has {name} {there.get(name, 'not installed')}, but this process has {version}")
         if digest != self._run.digest:

@@ -14,12 +14,13 @@ shards.py        the worlds of a training, and shards of them with a copy of the
 curriculum.py    the stages of a training
 scenario_tests.py  the tests of a scenario
 episodes.py      what episodes leave behind: log, statistics, solved, summaries with intervals
-group.py         groups: a folder with a run per seed, trained one after the other
+group.py         groups: a folder with a run per seed, trained one after the other or on workers
+spread.py        calls of a function with several items: in this process, or on workers
 listing.py       what is known of runs and groups from their files, also while they train
 comparison.py    compare: groups of runs on the same starts; a group as one
 robustness.py    a policy under changed conditions
 statistics.py    intervals, gates that may stop early, comparisons of groups of runs
-report.py        results as JSON, progress
+report.py        results as JSON, progress of a training and of a group
 failures.py      what failed in an episode, kept to be reproduced
 policy.py        a trained policy as an object to call
 

@@ -16,13 +16,14 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.episodes import Interval
-from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
+from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, until_enough
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.run import ModelName, Run, run_folders
+from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, Counter, Spread, results
 from deepbots_cli.learning.statistics import Difference, compare_episodes, compare_seeds, interquartile_mean, mean_interval
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.policies import StopCondition
-from deepbots_cli.rollout.source import SourceKind, folder_kind
+from deepbots_cli.rollout.source import RECORD_NAME, SourceKind, folder_kind
 from deepbots_cli.scenario import Scenario
 
 MIN_SEEDS = 3
@@ -157,6 +158,7 @@ def compare(
     permissions: Permissions = Permissions(),
     build: WorldFactory | None = None,
     on_run: OnRun | None = None,
+    spread: Spread = ONE_BY_ONE,
 ) -> Comparison:
     """Evaluate runs on the same starts, and compare them by groups.
 
@@ -170,6 +172,7 @@ def compare(
         scenario: The scenario to evaluate in; by default that of the first run. Its interface must be that of every run.
         own: Whether each run is evaluated in its own scenario instead, such as variants with different observations.
         on_run: Is called after each run.
+        spread: Where the evaluations run; the result does not depend on it.
 
     The other arguments are those of `evaluate`.
 
@@ -185,12 +188,8 @@ def compare(
         raise UsageError("a comparison needs at least two runs")
     judged = None if own else opened[0].compiled if scenario is None else api.compile(scenario)
     given: dict[str, Any] = {"episodes": episodes, "seed": seed, "model": model, "case": case, "permissions": permissions, "build": build}
-    results: list[EvaluationResult] = []
-    for run in opened:
-        results.append(evaluate(run, scenario=judged, **given))
-        if on_run is not None:
-            on_run(len(results), len(opened))
-    found = iter(results)
+    calls = [_Evaluation(run, {**given, "scenario": judged}) for run in opened]
+    found = results(spread.map(_evaluate, calls, watcher=Counter(on_run, len(calls)), files=_records(opened)))
     groups = [
         GroupResult(group.name, tuple(islice(found, len(group.runs))), group.waiting, tuple(map(_solved_after, group.runs)))
         for group in members
@@ -244,6 +243,7 @@ def evaluate_group(
     scenario: Compiled | Scenario | str | Path | None = None,
     until: StopCondition | None = None,
     on_run: OnRun | None = None,
+    spread: Spread = ONE_BY_ONE,
     **options: Any,
 ) -> GroupResult:
     """Evaluate every run of a group on the same starts.
@@ -252,6 +252,7 @@ def evaluate_group(
         group: The folder of the group. Seeds without a model are left out, and named in `waiting`.
         until: Takes the episodes so far, of all runs in turn, and returns whether they are enough. The result then holds these only.
         on_run: Is called after each run.
+        spread: Where the evaluations run; the result does not depend on it.
         options: Further arguments of `evaluate`. `seed` and `scenario` are as there; the default is the scenario of the group.
 
     Raises:
@@ -259,20 +260,38 @@ def evaluate_group(
     """
     members = _open_runs(Group.open(group))
     judged = None if scenario is None else api.compile(scenario)
-    results: list[EvaluationResult] = []
+    done: list[EvaluationResult] = []
     before: list[Episode] = []
 
     def enough(episodes: Sequence[Episode]) -> bool:
         return until is not None and until([*before, *episodes])
 
-    for run in members.runs:
-        results.append(evaluate(run, seed=seed, scenario=judged, until=enough, **options))
-        before += results[-1].outcomes
-        if on_run is not None:
-            on_run(len(results), len(members.runs))
+    given = {**options, "seed": seed, "scenario": judged}
+    stops = {"until": enough} if spread.is_here else {}
+    calls = [_Evaluation(run, {**given, **stops}) for run in members.runs]
+    found = results(spread.map(_evaluate, calls, watcher=Counter(on_run, len(calls)), files=_records(members.runs)))
+    for run, result in zip(members.runs, found, strict=False):
+        done.append(result if spread.is_here else until_enough(result, enough, run, **given))
+        before += done[-1].outcomes
         if enough(()):
             break
-    return GroupResult(members.name, tuple(results), members.waiting)
+    found.close()
+    return GroupResult(members.name, tuple(done), members.waiting)
+
+
+class _Evaluation(NamedTuple):
+    """A run, and the further arguments of `evaluate`."""
+
+    run: Run
+    options: dict[str, Any]
+
+
+def _evaluate(evaluation: _Evaluation, attempt: Attempt) -> EvaluationResult:
+    return evaluate(evaluation.run, **evaluation.options)
+
+
+def _records(runs: Sequence[Run]) -> list[Path]:
+    return [run.path / RECORD_NAME for run in runs]
 
 
 class _GroupMembers(NamedTuple):

@@ -165,6 +165,16 @@ def evaluate(
     return setting.result(model, done, deterministic=deterministic)
 
 
+def until_enough(result: EvaluationResult, until: StopCondition, run: Run, **options: Any) -> EvaluationResult:
+    """The result of `evaluate` with the same `options` and `until`, from a result with all episodes."""
+    for count in range(1, result.episodes):
+        if until(result.outcomes[:count]):
+            others = ("model", "deterministic", "copies", "on_episode")
+            setting = _Setting(run, **{name: value for name, value in options.items() if name not in others})
+            return setting.result(result.model, result.outcomes[:count], deterministic=result.deterministic)
+    return result
+
+
 def evaluate_baselines(
     run: Run | str | Path,
     *,
@@ -242,14 +252,14 @@ class _Setting:
     def __init__(
         self,
         run: Run | str | Path,
-        episodes: int | None,
-        seed: int | None,
-        scenario: Compiled | Scenario | str | Path | None,
-        case: str | None,
-        stage: str | None,
-        permissions: Permissions,
-        engine: str | None,
-        build: WorldFactory | None,
+        episodes: int | None = None,
+        seed: int | None = None,
+        scenario: Compiled | Scenario | str | Path | None = None,
+        case: str | None = None,
+        stage: str | None = None,
+        permissions: Permissions = Permissions(),
+        engine: str | None = None,
+        build: WorldFactory | None = None,
     ) -> None:
         self.run = run = run if isinstance(run, Run) else Run.open(run)
         self.judged = None if scenario is None else api.compile(scenario)

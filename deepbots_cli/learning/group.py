@@ -3,16 +3,21 @@
     runs/cartpole-seeds-1/
     ├── group.json           seeds, settings of the trainings, command
     ├── inputs/, resolved.yaml   the scenario, from which seeds that have not begun are trained
+    ├── workers/             the output of workers
     └── seed-0/, seed-1/ ... the runs
 
-The seeds are trained one after the other. Importing this module does not load torch.
+The seeds are trained one after the other, or on workers (`spread`): then a training whose worker was lost is resumed by another one, to
+the same bytes. Importing this module does not load torch.
 """
 
 from __future__ import annotations
 
 import shutil
+import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Unpack
 
@@ -24,26 +29,33 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.learning.report import Reporter
+from deepbots_cli.learning.report import GroupProgressReporter, GroupReporter, Reporter, TrainingProgress
 from deepbots_cli.learning.run import (
     RecordFormat,
     RunRecord,
     TrainingOptions,
     TrainingResult,
+    is_training,
     new_directory,
     read_json,
+    remove_incomplete,
     run_lock,
     timestamp,
     write_text,
 )
+from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, CallOptions, Spread
 from deepbots_cli.rollout.source import GROUP_RECORD_NAME, Source, SourceKind, folder_kind
 
 if TYPE_CHECKING:
+    from deepbots_cli.learning.callbacks import Interruption
     from deepbots_cli.learning.environments import WorldFactory
 
 FORMAT = 1
 MAX_SEEDS = 1000
 _MAX_RECORD_BYTES = 1_000_000
+_WORKERS_FOLDER = "workers"
+_LOCK_TIMEOUT_S = 60.0
+"""How long a training waits until the one that it repeats has ended: a process ends some time after its node was lost."""
 
 
 class GroupRecord(BaseModel):
@@ -96,7 +108,7 @@ class Group:
         record = read_json(path / GROUP_RECORD_NAME, GroupRecord, _MAX_RECORD_BYTES)
         if len(set(record.seeds)) < len(record.seeds):
             raise RunError(f"{path / GROUP_RECORD_NAME} is damaged: it lists a seed twice")
-        for name in (GROUP_RECORD_NAME, RESOLVED_NAME, INPUTS_FOLDER, *(f"seed-{seed}" for seed in record.seeds)):
+        for name in (GROUP_RECORD_NAME, RESOLVED_NAME, INPUTS_FOLDER, _WORKERS_FOLDER, *(f"seed-{seed}" for seed in record.seeds)):
             if (path / name).is_symlink():
                 raise RunError(f"{path / name} is a symbolic link; deepbots does not write symbolic links into a group")
         return Group(path, record)
@@ -141,7 +153,7 @@ class GroupTraining:
 
 
 OnSeed = Callable[[int, int, int], object]
-"""Called before the training of a seed, with the seed, its number from 1, and the number of all seeds."""
+"""Called before the training of a seed in this process, with the seed, its number from 1, and the number of all seeds."""
 
 
 def train_group(
@@ -153,18 +165,21 @@ def train_group(
     progress: bool | Reporter = False,
     on_seed: OnSeed | None = None,
     build: WorldFactory | None = None,
+    spread: Spread = ONE_BY_ONE,
     **options: Unpack[TrainingOptions],
 ) -> GroupTraining:
-    """Train a scenario with several seeds, one after the other, in a new folder.
+    """Train a scenario with several seeds in a new folder.
 
-    If one training fails, the others continue. An interruption stops the group after the current rollout.
+    If one training fails, the others continue. An interruption stops the group after the current rollout. A second one stops it at once.
 
     Args:
         compiled: The scenario.
         seeds: The root seeds, each once.
         group: The folder to make; by default `runs/<scenario>-seeds-<n>`.
-        on_seed: Is called before each training.
-        options: Those of `train`; the arguments `runs`, `progress` and `build` are as there, too.
+        progress: Whether to report progress on standard error, or your own `Reporter`; on workers it is a table of all trainings.
+        on_seed: Is called before each training in this process.
+        spread: Where the trainings run; the result does not depend on it. By default they run in this process, one after the other.
+        options: Those of `train`; the arguments `runs` and `build` are as there, too.
 
     Raises:
         UsageError: The folder exists, a seed is given twice, or the settings are invalid for training.
@@ -194,7 +209,7 @@ def train_group(
         with run_lock(path):
             write_copies(path, compiled.resolved, compiled.inputs)
             made.write()
-            return _train_seeds(made, compiled, {}, on_seed, progress=progress, build=build)
+            return _train_seeds(made, compiled, {}, on_seed, progress, build, spread)
     except (DeepbotsError, KeyboardInterrupt):
         if not made.runs:  # nothing can be trained with these settings, or written there
             shutil.rmtree(path, ignore_errors=True)
@@ -212,10 +227,11 @@ def resume_group(
     permissions: Permissions = Permissions(),
     on_seed: OnSeed | None = None,
     build: WorldFactory | None = None,
+    spread: Spread = ONE_BY_ONE,
 ) -> GroupTraining:
     """Continue a group: finished seeds are skipped, interrupted ones continue from their last checkpoint, the others begin.
 
-    Arguments are those of `resume`; with a higher `total_timesteps`, finished seeds continue too.
+    Arguments are those of `resume` and `train_group`; with a higher `total_timesteps`, finished seeds continue too.
 
     Raises:
         RunError: The folder is not a group, or is damaged.
@@ -234,42 +250,128 @@ def resume_group(
         compiled = api.compile(Source.open(known.path))
         compiled = replace(compiled, source=Path(known.record.source), permissions=permissions)
         changes = followers | {name: value for name, value in given.items() if value is not None}
-        return _train_seeds(known, compiled, changes, on_seed, progress=progress, build=build)
+        return _train_seeds(known, compiled, changes, on_seed, progress, build, spread)
 
 
-def _train_seeds(group: Group, compiled: Compiled, changes: Mapping[str, Any], on_seed: OnSeed | None, **each: Any) -> GroupTraining:
+def _train_seeds(
+    group: Group,
+    compiled: Compiled,
+    changes: Mapping[str, Any],
+    on_seed: OnSeed | None,
+    progress: bool | Reporter,
+    build: WorldFactory | None,
+    spread: Spread,
+) -> GroupTraining:
     """Train or continue every seed that is not finished, with `changes` of the options that the group began with."""
+    from deepbots_cli.learning.callbacks import Interruption, signals_handled  # which imports torch
+
+    seeds, options = group.record.seeds, group.record.options
+    skipped = tuple(seed for seed in seeds if _is_complete(group.run(seed), changes))
+    left = [seed for seed in seeds if seed not in skipped]
+    items = [_SeedTraining(group.run(seed), seed, compiled, options, changes) for seed in left]
+    trained: list[TrainingResult] = []
+    failed: dict[int, str] = {}
+    with ExitStack() as stack:
+        on_workers: CallOptions = {}
+        if spread.is_here:
+            begins = [None if on_seed is None else partial(on_seed, seed, number, len(seeds)) for number, seed in enumerate(seeds, 1)]
+            own = {"progress": progress, "build": build}
+            items = [replace(item, own=own, begin=begins[seeds.index(item.seed)]) for item in items]
+        else:
+            if build is not None or isinstance(progress, Reporter):
+                raise UsageError("`build` and your own reporter work in this process only; leave out the workers")
+            interruption = Interruption()
+            reporter = GroupProgressReporter(group.path, left) if progress else GroupReporter()
+            stack.callback(reporter.close)
+            stack.enter_context(signals_handled(interruption))
+            on_workers = {"watcher": reporter, "stop": partial(_stops, interruption, reporter)}
+            on_workers |= {"files": [group.path / GROUP_RECORD_NAME], "log": partial(_log_of, group.path)}
+        found = stack.enter_context(closing(spread.map(_train_seed, items, **on_workers)))
+        with suppress(KeyboardInterrupt):  # before a training handles it itself, or a second one
+            for seed, outcome in zip(left, found, strict=False):
+                if isinstance(outcome, DeepbotsError):
+                    if not group.runs:  # nothing can be trained with these settings, or written there
+                        raise outcome
+                    failed[seed] = outcome.full_message
+                elif outcome is not None:
+                    trained.append(outcome)
+                    if spread.is_here and outcome.stop_requested:
+                        break
+    done = {result.run for result in trained if not result.interrupted}
+    waiting = tuple(seed for seed in left if seed not in failed and group.run(seed) not in done)
+    return GroupTraining(group.path, tuple(trained), skipped, failed, waiting)
+
+
+def _stops(interruption: Interruption, reporter: GroupReporter) -> bool:
+    if interruption.requested:
+        reporter.stop()
+    return interruption.requested
+
+
+@dataclass(frozen=True)
+class _SeedTraining:
+    """A training of a group: it begins with the `options` of the group, or continues, both with `changes` of these.
+
+    `own` are further arguments of `train` and `resume` in this process; on workers they are None.
+    """
+
+    path: Path
+    seed: int
+    compiled: Compiled
+    options: Mapping[str, Any]
+    changes: Mapping[str, Any]
+    own: Mapping[str, Any] | None = None
+    begin: Callable[[], object] | None = None
+
+
+def _log_of(group: Path, item: _SeedTraining) -> Path:
+    return group / _WORKERS_FOLDER / f"seed-{item.seed}.log"
+
+
+def _is_complete(run: Path, changes: Mapping[str, Any]) -> bool:
+    """Whether nothing is left to train; a run that is damaged has an error to report."""
+    try:
+        record = RunRecord.read(run) if folder_kind(run) is SourceKind.RUN else None
+    except DeepbotsError:
+        return False
+    if record is None or record.status != "finished":
+        return False
+    goal = changes.get("total_timesteps")
+    return goal is None or (record.result is not None and record.result.steps >= goal)
+
+
+def _train_seed(item: _SeedTraining, attempt: Attempt) -> TrainingResult:
+    """Train a seed, or continue its run, which may have been begun by a worker that was lost."""
     from deepbots_cli.learning.training import resume, train  # which imports torch
 
-    seeds = group.record.seeds
-    trained: list[TrainingResult] = []
-    skipped: list[int] = []
-    failed: dict[int, str] = {}
-    waiting: tuple[int, ...] = ()
-    for place, seed in enumerate(seeds):
-        path = group.run(seed)
-        try:
-            begun = RunRecord.read(path) if folder_kind(path) is SourceKind.RUN else None
-            if begun is not None and begun.status == "finished":
-                goal = changes.get("total_timesteps")
-                if goal is None or (begun.result is not None and begun.result.steps >= goal):
-                    skipped.append(seed)
-                    continue
-            if on_seed is not None:
-                on_seed(seed, place + 1, len(seeds))
-            if begun is not None:
-                result = resume(path, permissions=compiled.permissions, **changes, **each)
-            else:
-                result = train(compiled, run=path, seed=seed, **{**group.record.options, **changes}, **each)
-            trained.append(result)
-            if result.stop_requested:
-                waiting = seeds[place:] if result.interrupted else seeds[place + 1 :]
-                break
-        except DeepbotsError as error:
-            if not group.runs:  # nothing can be trained with these settings, or written there
-                raise
-            failed[seed] = error.full_message
-        except KeyboardInterrupt:  # before the training handles it itself
-            waiting = seeds[place:]
-            break
-    return GroupTraining(group.path, tuple(trained), tuple(skipped), failed, waiting)
+    if item.begin is not None:
+        item.begin()
+    own = {"progress": _AttemptReporter(attempt)} if item.own is None else item.own
+    if attempt.number > 1:
+        deadline = time.monotonic() + _LOCK_TIMEOUT_S
+        while is_training(item.path) and time.monotonic() < deadline:
+            time.sleep(0.5)
+    if folder_kind(item.path) is not SourceKind.RUN:
+        remove_incomplete(item.path)
+        return train(item.compiled, run=item.path, seed=item.seed, **{**item.options, **item.changes}, **own)
+    record = RunRecord.read(item.path)
+    is_done = record.status == "finished" and record.total_timesteps == item.changes.get("total_timesteps", record.total_timesteps)
+    if attempt.number > 1 and is_done and record.result is not None:  # only its result was lost
+        return TrainingResult(run=item.path, initialized_from=record.initialized_from, **vars(record.result))
+    return resume(item.path, permissions=item.compiled.permissions, **item.changes, **own)
+
+
+class _AttemptReporter(Reporter):
+    """Reports the progress of a training on a worker."""
+
+    def __init__(self, attempt: Attempt) -> None:
+        self._attempt = attempt
+
+    def note(self, text: str) -> None:
+        self._attempt.note(text)
+
+    def start(self, progress: TrainingProgress) -> None:
+        self._attempt.report(progress)
+
+    def update(self, progress: TrainingProgress) -> None:
+        self._attempt.report(progress)

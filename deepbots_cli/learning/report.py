@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import asdict, dataclass
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any, TextIO
 
 from pydantic import BaseModel
 
 from deepbots_cli.learning.run import TrainingResult
+from deepbots_cli.learning.spread import Watcher
 from deepbots_cli.program.task import Solved
 
 if TYPE_CHECKING:
@@ -129,6 +133,144 @@ class ProgressReporter(Reporter):
     def stop(self) -> None:
         if self._live is not None:
             self._live.stop()
+
+
+class GroupReporter(Watcher):
+    """Follows trainings on workers, with their `TrainingProgress` as reports. This one reports nothing."""
+
+    def stop(self) -> None:
+        """Called, perhaps several times, when the trainings are asked to stop."""
+
+    def close(self) -> None:
+        """Called at the end."""
+
+
+class GroupProgressReporter(GroupReporter):
+    """A table of all trainings on a terminal, which is refreshed in place; elsewhere a line for each end, and one every 30 s.
+
+    Args:
+        group: The folder of the group.
+        seeds: The seeds that are trained.
+    """
+
+    def __init__(self, group: Path, seeds: Sequence[int], stream: TextIO | None = None) -> None:
+        self._group, self._seeds, self._stream = group, seeds, sys.stderr if stream is None else stream
+        self._progress: dict[int, TrainingProgress] = {}
+        self._states = ["waiting"] * len(seeds)
+        self._first: dict[int, int] = {}
+        self._notes: set[str] = set()
+        self._is_stopping = False
+        self._began = self._shown = time.perf_counter()
+        self._live: Live | None = None
+        if self._stream.isatty():
+            from rich.console import Console  # 60 ms, which only a terminal pays
+            from rich.live import Live
+
+            self._live = Live(console=Console(file=self._stream), auto_refresh=False)
+            self._live.start()
+
+    def on_report(self, item: int, value: object) -> None:
+        if isinstance(value, TrainingProgress) and self._states[item] in ("waiting", "training"):
+            self._first.setdefault(item, value.steps)
+            self._states[item], self._progress[item] = "training", value
+            self._show()
+
+    def on_note(self, item: int, text: str) -> None:
+        if text not in self._notes:  # all trainings may have the same
+            self._notes.add(text)
+            self._print(f"note: seed {self._seeds[item]}: {text}")
+
+    def on_loss(self, item: int) -> None:
+        self._print(f"note: the worker of seed {self._seeds[item]} was lost; another one resumes the training")
+
+    def on_done(self, item: int, outcome: object) -> None:
+        state = "waiting" if outcome is None else "failed"
+        if isinstance(outcome, TrainingResult):
+            state = outcome.status
+            known = self._progress.get(item, TrainingProgress(0, outcome.total_timesteps, 0, None, None))
+            final = {name: getattr(outcome, name) for name in ("steps", "episodes", "mean_return", "success_rate", "best_return")}
+            self._progress[item] = replace(known, **final)
+        self._states[item] = state
+        if self._live is None and outcome is not None:
+            row = self._row(item)
+            self._print("  ".join(value if name == "state" else f"{name} {value}" for name, value in row.items()))
+        self._show(at_once=True)
+
+    def stop(self) -> None:
+        if not self._is_stopping:
+            self._is_stopping = True
+            self._print(f"stopping after these rollouts; continue with: deepbots train --resume {quote(str(self._group))}")
+
+    def close(self) -> None:
+        self._show(at_once=True)
+        if self._live is not None:
+            self._live.stop()
+
+    def _print(self, text: str) -> None:
+        if self._live is None:
+            print(text, file=self._stream, flush=True)
+        else:
+            self._live.console.out(text, highlight=False)  # above the table
+
+    def _show(self, *, at_once: bool = False) -> None:
+        now = time.perf_counter()
+        if self._live is not None:
+            if at_once or now - self._shown >= REFRESH_INTERVAL_S:
+                self._live.update(self._table(self._live.console.height), refresh=True)
+                self._shown = now
+        elif now - self._shown >= LINE_INTERVAL_S:
+            self._print(self._summary())
+            self._shown = now
+
+    def _row(self, item: int) -> dict[str, str]:
+        """What is reached, beside what `solved` asks for."""
+        cells = {"seed": f"{self._seeds[item]}", "state": self._states[item]}
+        progress = self._progress.get(item)
+        if progress is None:
+            return cells
+        values = progress_values(progress, 0.0)
+        cells |= {"steps": f"{progress.steps:,} of {progress.total_steps:,}", "episodes": values["episodes"]}
+        return cells | {name: values[name] for name in ("return", "success") if name in values}
+
+    def _summary(self) -> str:
+        """The trainings by their state, the steps of all, and how long the rest will take."""
+        states = Counter(self._states)
+        parts = [
+            ", ".join(f"{states[name]} {name}" for name in ("training", "finished", "interrupted", "failed", "waiting") if states[name])
+        ]
+        steps = sum(progress.steps for progress in self._progress.values())
+        total = max((progress.total_steps for progress in self._progress.values()), default=0)
+        elapsed = time.perf_counter() - self._began
+        speed = (steps - sum(self._first.values())) / max(1e-9, elapsed)
+        left = sum(
+            total - (self._progress[item].steps if item in self._progress else 0)
+            for item, state in enumerate(self._states)
+            if state in ("waiting", "training")
+        )
+        if speed >= 1.0:
+            parts.append(f"{speed:,.0f} steps/s")
+        parts.append(f"{duration(elapsed)} so far")
+        if speed > 0.0 and left and not self._is_stopping:
+            parts.append(f"{duration(left / speed)} to go")
+        return "  ".join(parts)
+
+    def _table(self, height: int) -> Group:
+        """A row for each training, or as many as there is room for, those at work first; and the summary."""
+        from rich.console import Group
+        from rich.table import Table
+        from rich.text import Text
+
+        seeds, room = range(len(self._seeds)), max(1, height - 4)
+        by_state = sorted(seeds, key=lambda item: self._states[item] != "training")
+        shown = [self._row(item) for item in (seeds if len(seeds) <= room else sorted(by_state[:room]))]
+        names = [name for name in ("seed", "state", "steps", "episodes", "return", "success") if any(name in row for row in shown)]
+        rows = Table.grid(padding=(0, 2))
+        for name in names:
+            rows.add_column(no_wrap=True, justify="left" if name in ("seed", "state") else "right")
+        rows.add_row(*(Text(name, style="dim") for name in names))
+        for row in shown:
+            rows.add_row(*(Text(row.get(name, "")) for name in names))
+        return Group(rows, Text(self._summary(), style="dim"))
 
 
 def reporter(progress: bool | Reporter) -> Reporter:

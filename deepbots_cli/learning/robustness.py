@@ -7,10 +7,11 @@ therefore apply to any scenario that has such values. All levels have the same s
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
@@ -24,8 +25,9 @@ from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
 from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, Counter, Spread, results
 from deepbots_cli.program import Program
-from deepbots_cli.rollout.source import Source, SourceKind
+from deepbots_cli.rollout.source import RECORD_NAME, Source, SourceKind
 
 EPISODES_PER_LEVEL = 50
 """Episodes of a level, unless the scenario asks for fewer."""
@@ -129,6 +131,7 @@ def evaluate_robustness(
     mass_of: str | None = None,
     permissions: Permissions = Permissions(),
     on_level: Callable[[int, int], object] | None = None,
+    spread: Spread = ONE_BY_ONE,
     **options: Any,
 ) -> Robustness:
     """Evaluate a policy with latency and loss of messages, noise of the observation, another mass, other friction, and weaker motors.
@@ -148,6 +151,7 @@ def evaluate_robustness(
         min_return: The required mean return, in place of the success rate.
         mass_of: The link (`ROBOT.LINK`) or object whose mass is changed; by default the heaviest link that can move.
         on_level: Is called after each evaluation with the number of those done and of all.
+        spread: Where the evaluations run; the result does not depend on it.
         options: Further arguments of `evaluate`; `seed`, `model` and `permissions` are as there.
 
     Raises:
@@ -163,32 +167,49 @@ def evaluate_robustness(
     given: dict[str, Any] = {"episodes": min(EPISODES_PER_LEVEL, usual) if episodes is None else episodes, "case": case, "stage": stage}
     given |= {"seed": seed, "model": model, "permissions": permissions, **options}
     planned = list(plans(document.root, program, mass_of)) if document.root is not None else []
-    total = 1 + sum(len(levels) for _, levels in planned)
-    done = 0
+    counter = Counter(on_level, 1 + sum(len(levels) for _, levels in planned))
+    skipped: dict[str, str] = {}
 
-    def measured(compiled: Compiled) -> EvaluationResult:
-        nonlocal done
-        result = evaluate(known, scenario=compiled, **given)
-        done += 1
-        if on_level is not None:
-            on_level(done, total)
-        return result
+    def levels() -> Iterator[_Level]:
+        """The unchanged scenario, and each change of it, which is compiled when its turn comes."""
+        yield _Level(known, None, "", plain, given)
+        for name, changes in planned:
+            try:
+                compiled = [(label, changed_scenario(document, change)) for label, change in changes]
+            except ScenarioError as error:
+                counter.total -= len(changes)
+                skipped[name] = f"the changed scenario does not compile ({error})"
+                continue
+            for label, level in compiled:
+                yield _Level(known, name, label, level, given)
 
-    nominal = measured(plain)
+    found = results(spread.map(_evaluate_level, levels(), watcher=counter, files=[known.path / RECORD_NAME]))
+    _, _, nominal = next(found)
     metric, bar, source = _bar(program, nominal, min_success, min_return)
-    conditions = []
-    for name, levels in planned:
-        try:
-            compiled = [(label, changed_scenario(document, change)) for label, change in levels]
-            results = [(label, measured(level)) for label, level in compiled]
-        except ScenarioError as error:
-            total -= len(levels)
-            conditions.append(Condition(name, (), f"the changed scenario does not compile ({error})"))
-            continue
-        except DeepbotsError as error:
-            raise type(error)(f"{name}: {error}") from error
-        conditions.append(Condition(name, tuple(_level(label, result, metric, bar) for label, result in results)))
+    measured: dict[str | None, list[RobustnessLevel]] = defaultdict(list)
+    for name, label, result in found:
+        measured[name].append(_level(label, result, metric, bar))
+    conditions = [Condition(name, tuple(measured[name]), skipped.get(name)) for name, _ in planned]
     return Robustness(known.path, program.name, metric, bar, source, nominal, tuple(conditions))
+
+
+class _Level(NamedTuple):
+    """A level of a condition, which is None for the unchanged scenario, and how to evaluate it."""
+
+    run: Run
+    condition: str | None
+    label: str
+    compiled: Compiled
+    options: dict[str, Any]
+
+
+def _evaluate_level(level: _Level, attempt: Attempt) -> tuple[str | None, str, EvaluationResult]:
+    try:
+        return level.condition, level.label, evaluate(level.run, scenario=level.compiled, **level.options)
+    except DeepbotsError as error:
+        if level.condition is None:
+            raise
+        raise type(error)(f"{level.condition}: {error}") from error
 
 
 def base_document(base: Source, overrides: Sequence[str] = (), case: str | None = None, stage: str | None = None) -> Document:

@@ -461,6 +461,15 @@ def _check_plain(run: Path) -> None:
             raise RunError(f"{member} is neither a file nor a directory, so deepbots did not write it")
 
 
+def remove_incomplete(folder: Path) -> None:
+    """Remove what a killed process has left of a new run directory: folders and files of a run, but no record."""
+    known = {*_FOLDERS, *_FILES, "environment.py"}
+    if folder.is_dir() and not folder.is_symlink():
+        names = {path.name for path in folder.iterdir()}
+        if RECORD_NAME not in names and all(name in known or name.startswith(".deepbots-") for name in names):
+            shutil.rmtree(folder)
+
+
 def write_record(folder: Path, record: RunRecord) -> None:
     write_text(folder / RECORD_NAME, record.model_dump_json(indent=2) + "\n")
 

@@ -12,10 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from test_cluster_fleet import act_at, outcomes
 from test_cluster_shards import At, outcome, trained
 
+from deepbots_cli import api
 from deepbots_cli.cluster import Cluster
-from deepbots_cli.learning import resume
+from deepbots_cli.learning import resume, train_group
 from deepbots_cli.learning.shards import THIS_PROCESS
 
 pytest.importorskip("ray")
@@ -65,3 +67,21 @@ def test_a_training_that_stops_on_a_cluster_goes_on_in_this_process(nodes: Any, 
         trained("PPO", tmp_path / "run", cluster, progress=stop)
     resume(tmp_path / "run")
     assert outcome(tmp_path / "run") == trained("PPO", tmp_path / "here", THIS_PROCESS)
+
+
+@pytest.mark.slow
+def test_trainings_go_on_when_a_node_is_lost_and_one_joins(nodes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    living = [add(nodes), add(nodes)]
+    compiled = api.compile("cartpole", overrides=["train.n_steps=64"])
+
+    def replace_a_node() -> None:
+        nodes.remove_node(living.pop(0), allow_graceful=False)
+        living.append(add(nodes))
+
+    replaced = act_at(monkeypatch, 1_000, 1, replace_a_node)
+    with Cluster(address=nodes.address) as cluster:
+        found = train_group(compiled, (0, 1, 2), group=tmp_path / "nodes", total_timesteps=4_000, progress=True, spread=cluster)
+    assert replaced
+    assert not found.failed
+    train_group(compiled, (0, 1, 2), group=tmp_path / "here", total_timesteps=4_000)
+    assert outcomes(tmp_path / "nodes") == outcomes(tmp_path / "here")

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.cli import records, terminal
-from deepbots_cli.cli.command import ADVANCED, MAX_SEED, Json, integer, option
+from deepbots_cli.cli import processes, records, terminal
+from deepbots_cli.cli.command import ADVANCED, MAX_SEED, ClusterAddress, Json, Workers, integer, option
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions
 from deepbots_cli.learning.run import RunRecord, changed_settings, short_settings
@@ -32,6 +32,8 @@ def command(
     ] = None,
     case: Annotated[str | None, option("--case NAME", "Evaluate in this case of the scenario.")] = None,
     own: Annotated[bool, option("--own", "Evaluate each run in its own scenario, for runs with different observations.", ADVANCED)] = False,
+    workers: Workers = None,
+    address: ClusterAddress = None,
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
@@ -50,7 +52,7 @@ def command(
       deepbots compare runs/cartpole-0-1 runs/cartpole-1-1
       deepbots compare runs/cartpole-seeds-1 runs/cartpole-seeds-2
       deepbots compare runs/base-* runs/longer_pole-*
-      deepbots compare runs/base-* runs/changed-* --episodes 200 --json
+      deepbots compare runs/base-* runs/changed-* --episodes 200 --workers 4
 
     Next: `deepbots diff RUN RUN` shows how the scenarios of two runs differ.
     """
@@ -59,7 +61,7 @@ def command(
         terminal.note_warnings(judged.findings, scenario)
     with terminal.transient_line("loading the policies ..."):
         compare = learning.compare  # which imports torch
-    with terminal.progress(always=False) as show:
+    with processes.spread(workers, address) as spread, terminal.progress(always=False) as show:
         found = compare(
             runs,
             episodes=episodes,
@@ -70,6 +72,7 @@ def command(
             own=own,
             permissions=permissions,
             on_run=show,
+            spread=spread,
         )
     terminal.show(_data(found), *_lines(found), as_json=as_json)
 

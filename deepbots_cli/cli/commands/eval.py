@@ -13,13 +13,15 @@ import typer
 
 from deepbots_cli import api, learning
 from deepbots_cli.analysis import possible_returns
-from deepbots_cli.cli import records, terminal
+from deepbots_cli.cli import processes, records, terminal
 from deepbots_cli.cli.command import (
     ADVANCED,
     MAX_SEED,
     SCENARIO,
+    ClusterAddress,
     Force,
     Overrides,
+    Workers,
     fraction,
     integer,
     known_engine,
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
     from deepbots_cli.learning import EvaluationResult, GroupResult
     from deepbots_cli.learning.episodes import Interval
+    from deepbots_cli.learning.spread import Spread
     from deepbots_cli.learning.statistics import Verdict
     from deepbots_cli.program import Program
     from deepbots_cli.rollout import Episode
@@ -122,6 +125,8 @@ def command(
     csv: Annotated[Path | None, option("--csv FILE", "Write a CSV file with a line for each episode.", ADVANCED)] = None,
     junit: Annotated[Path | None, option("--junit FILE", "Write the requirements as JUnit XML, a test case for each.", ADVANCED)] = None,
     force: Force = False,
+    workers: Workers = None,
+    address: ClusterAddress = None,
     permissions: Permissions = Permissions(),
 ) -> None:
     """Evaluate the policy of a run on held-out episodes.
@@ -129,6 +134,7 @@ def command(
     The episodes begin with starts that the training does not use. The cases in `evaluation.cases` are evaluated too, with the same starts.
     --require-solved, --min-success and --min-return check the result without the cases. With --case or --stage, they check the result
     in that case or stage. For a group, every seed is evaluated on the same starts, and the requirements apply to the means over the seeds.
+    With --workers N, N runs of a group are evaluated at a time, with the same results.
 
     With --min-success or --min-return, the evaluation of a run stops early once the answer is clear. That is the case when the remaining
     episodes can no longer change the answer, or when the required value lies outside a 95 % confidence sequence of the result. The
@@ -151,7 +157,7 @@ def command(
       deepbots eval runs/cartpole-0-1/models/agent/last.zip
       deepbots eval runs/cartpole-0-1 --episodes failed
       deepbots eval runs/cartpole-0-1 --baselines
-      deepbots eval runs/cartpole-seeds-1 --csv episodes.csv
+      deepbots eval runs/cartpole-seeds-1 --csv episodes.csv --workers 4
       deepbots eval runs/cartpole-0-1 --scenario longer_pole.yaml --episodes 20
       deepbots eval runs/cartpole-0-1 --set fall_angle=10deg
       deepbots eval runs/cartpole-0-1 --engine mujoco
@@ -185,8 +191,12 @@ def command(
         _refuse(one, given, single)
         scenarios = [evaluation_scenario(source, group.record.engine, scenario, overrides, name) for name in several]
         chosen |= {"seed": seed or 0, "case": case, "stage": stage}
-        _evaluate_group(run, scenarios, gates, csv=csv, junit=junit, as_json=as_json, **chosen)
+        count = len(group.runs_with_model)
+        processes.check_dividable(workers, address, count, f"{run} contains {count} trained run{'' if count == 1 else 's'}")
+        with processes.spread(workers, address, count) as spread:
+            _evaluate_group(run, scenarios, gates, csv=csv, junit=junit, as_json=as_json, spread=spread, **chosen)
         return
+    processes.check_dividable(workers, address, 1, f"{run} is a single run; name a group")
     known = Run.open(source.path)
     chosen |= {"seed": seed}
     with terminal.transient_line("loading the policy ..."):
@@ -377,6 +387,7 @@ def _evaluate_group(
     csv: Path | None,
     junit: Path | None,
     as_json: bool,
+    spread: Spread,
     **chosen: Any,
 ) -> None:
     """Evaluate a group in each of the `scenarios`, which differ in their engine; None is the scenario of the group."""
@@ -394,7 +405,7 @@ def _evaluate_group(
             planned = (chosen["episodes"] or usual) * len(ready)
         until = partial(gates.decided_of_group, planned=planned) if planned and len(scenarios) == 1 else None
         with terminal.progress("runs", always=False) as show_run:
-            found = evaluate_group(folder, scenario=compiled, on_run=show_run, until=until, **chosen)
+            found = evaluate_group(folder, scenario=compiled, on_run=show_run, until=until, spread=spread, **chosen)
         for result in found.evaluations:
             records.write_evaluation(Run.open(result.run), records.evaluation_json(result))
         of = f"{found.evaluations[0].engine}: " if len(scenarios) > 1 else ""

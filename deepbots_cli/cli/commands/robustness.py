@@ -7,8 +7,20 @@ from typing import Annotated
 
 import typer
 
-from deepbots_cli.cli import records, terminal
-from deepbots_cli.cli.command import ADVANCED, MAX_SEED, SCENARIO, Json, Overrides, fraction, integer, known_engine, option
+from deepbots_cli.cli import processes, records, terminal
+from deepbots_cli.cli.command import (
+    ADVANCED,
+    MAX_SEED,
+    SCENARIO,
+    ClusterAddress,
+    Json,
+    Overrides,
+    Workers,
+    fraction,
+    integer,
+    known_engine,
+    option,
+)
 from deepbots_cli.cli.commands.eval import Gates
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
@@ -47,6 +59,8 @@ def command(
     stochastic: Annotated[
         bool, option("--stochastic", "Sample the actions of the policy; by default it takes its likeliest action.", ADVANCED)
     ] = False,
+    workers: Workers = None,
+    address: ClusterAddress = None,
     permissions: Permissions = Permissions(),
 ) -> None:
     """Evaluate a policy with sensor noise, delays and weaker motors.
@@ -58,10 +72,12 @@ def command(
     --min-success or --min-return gives the required result. By default it is `solved` of the scenario. If the scenario has no
     `solved`, it is 80 % of the result under unchanged conditions.
 
+    With --workers N, N evaluations run at a time, each in a process of its own, with the same results.
+
     \b
       deepbots robustness runs/cartpole-0-1
       deepbots robustness runs/cartpole-0-1 --episodes 20 --mass-of cart.pole
-      deepbots robustness runs/find_ball-0-1 --min-success 90%
+      deepbots robustness runs/find_ball-0-1 --min-success 90% --workers 4
 
     Next: train with the condition under which the policy fails, such as `latency` in `messages`.
     """
@@ -73,7 +89,7 @@ def command(
     gates.check(known.program)
     with terminal.transient_line("loading the policy ..."):
         from deepbots_cli.learning.robustness import evaluate_robustness  # which imports torch
-    with terminal.progress("evaluations") as show_level:
+    with processes.spread(workers, address) as spread, terminal.progress("evaluations") as show_level:
         found = evaluate_robustness(
             known,
             episodes=episodes,
@@ -89,5 +105,6 @@ def command(
             min_return=min_return,
             permissions=permissions,
             on_level=show_level,
+            spread=spread,
         )
     terminal.show(records.robustness_json(found), records.robustness_text(found), as_json=as_json)

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from shlex import quote
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.cli import records, terminal
-from deepbots_cli.cli.command import Engine, Force, Json, Overrides, option
+from deepbots_cli.cli import processes, records, terminal
+from deepbots_cli.cli.command import ClusterAddress, Engine, Force, Json, Overrides, Workers, option
 from deepbots_cli.cli.commands.lint import scenario_names
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import Row, table
@@ -23,17 +23,19 @@ from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.files import check_output
 from deepbots_cli.learning.scenario_tests import TestResult, UnmetExpectation, run_tests
+from deepbots_cli.learning.spread import Attempt, results
 from deepbots_cli.lint.settings import settings
 from deepbots_cli.runtime.streams import derive_seed
 
 
 @dataclass(frozen=True)
 class _ScenarioResults:
-    """The results of one scenario; with errors in its file there are `findings` instead."""
+    """The results of one scenario with its `warnings`; with errors in its file there are `findings` instead."""
 
     scenario: str
     results: tuple[TestResult, ...] = ()
     findings: tuple[Finding, ...] = ()
+    warnings: tuple[Finding, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -50,6 +52,8 @@ def command(
     engine: Engine = None,
     junit: Annotated[Path | None, option("--junit FILE", "Write the results as JUnit XML.")] = None,
     force: Force = False,
+    workers: Workers = None,
+    address: ClusterAddress = None,
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
@@ -58,12 +62,14 @@ def command(
     A scenario lists its tests under `tests`: who acts (a script, random or zero actions, or a sequence of actions), for how many episodes,
     and the expected result. A failed test shows what was expected and measured, and a command that shows the episode.
 
+    With --workers N, N scenarios are tested at a time, with the same results.
+
     The exit code is 0 if all tests pass, 1 if a test fails or a scenario has errors, and 2 if there is no test to run.
 
     \b
       deepbots test
       deepbots test cartpole
-      deepbots test scenarios/ --junit tests.xml
+      deepbots test scenarios/ --junit tests.xml --workers 4
       deepbots test cartpole.yaml -k fails --engine mujoco
 
     Next: a failed test prints a command after `show it`. Run this command to see the episode.
@@ -78,11 +84,16 @@ def command(
     }
     given = [f"--engine {engine}"] if engine else []
     given += [f"--set {quote(text)}" for text in overrides or ()]
+    processes.check_dividable(workers, address, len(names), "there is one scenario; name several, or a folder")
     done = []
-    for name in names:
-        done.append(_tested(name, only, engine, options))
-        if not as_json:
-            _show(done[-1], given)
+    calls = [_Scenario(name, only, engine, options) for name in names]
+    files = [Path(name) for name in names if Path(name).is_file()]
+    with processes.spread(workers, address, len(names)) as spread:
+        for found in results(spread.map(_tested, calls, files=files)):
+            done.append(found)
+            terminal.note_warnings(found.warnings, found.scenario)
+            if not as_json:
+                _show(found, given)
     if not any(found.results or found.findings for found in done):
         missing = "under `tests`" if only is None else f"whose name contains '{only}'"
         raise UsageError(f"there is no test {missing} in {', '.join(names[:5])}{' ...' if len(names) > 5 else ''}")
@@ -96,18 +107,27 @@ def command(
         raise typer.Exit(FAILED)
 
 
-def _tested(name: str, only: str | None, engine: str | None, options: dict[str, Any]) -> _ScenarioResults:
+class _Scenario(NamedTuple):
+    """A scenario to be tested: its tests whose names contain `only`, and how it is loaded."""
+
+    name: str
+    only: str | None
+    engine: str | None
+    options: dict[str, Any]
+
+
+def _tested(scenario: _Scenario, attempt: Attempt) -> _ScenarioResults:
+    name, only, engine, options = scenario
     checked = api.load(name, **options)
     try:
         compiled = api.compile(checked)
     except ScenarioError as error:
         return _ScenarioResults(name, findings=tuple(error.findings))
     tests = [test for test in checked.tests if only is None or only in test.name]
-    if tests:
-        terminal.note_warnings(compiled.findings, name)
     with terminal.progress(f"episodes of {name}", always=False) as show:
         found = run_tests(compiled.program, tests, engine=engine, permissions=compiled.permissions, on_episode=show)
-        return _ScenarioResults(name, tuple(sorted(found, key=lambda result: tests.index(result.test))))
+        in_order = tuple(sorted(found, key=lambda result: tests.index(result.test)))
+    return _ScenarioResults(name, in_order, warnings=tuple(compiled.findings) if tests else ())
 
 
 def _show(found: _ScenarioResults, given: Sequence[str]) -> None:

@@ -36,6 +36,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning import report
+from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.processes import python_command, python_environment
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from deepbots_cli.learning import TrainingResult
     from deepbots_cli.learning.group import GroupTraining
     from deepbots_cli.learning.shards import Placement
+    from deepbots_cli.learning.spread import Spread
     from deepbots_cli.program import Program
 
 _PAGE_FRAME_RATE = 10
@@ -119,13 +121,13 @@ def command(
     \b
       deepbots train cartpole
       deepbots train cartpole.yaml --seed 1 --set fall_angle=10deg
-      deepbots train cartpole --seeds 0..4
+      deepbots train cartpole --seeds 0..4 --workers 2
       deepbots train cartpole --timesteps 200k --full --run runs/long
       deepbots train find_ball_random --stage crowded
       deepbots train find_ball --view
       deepbots train pit_escape --shards 2 --workers 2
       deepbots train --resume runs/cartpole-0-1 --timesteps 200k
-      deepbots train --resume runs/cartpole-seeds-1
+      deepbots train --resume runs/cartpole-seeds-1 --workers 2
       deepbots train longer_pole.yaml --initialize-from runs/cartpole-0-1
 
     Timesteps are counted over all parallel environments. A resumed training gives the same weights and logs, bit for bit, as a training
@@ -140,7 +142,9 @@ def command(
     on a Ray cluster. Weights and logs depend on the number of shards, and not on where they run. If a process is lost, its shards repeat
     the last steps in another one.
 
-    --seeds trains a group: one folder with a run for each seed, one after the other. --resume of a group skips finished seeds.
+    --seeds trains a group: one folder with a run for each seed. The trainings run one after the other, or with --workers N, N at a time,
+    each in a process of its own; the runs are the same. If a process is lost, another one resumes its training. --resume of a group skips
+    finished seeds.
 
     Next: `deepbots view RUN` shows the policy, and `deepbots render RUN -o video.mp4` makes a video of it.
     """
@@ -157,8 +161,9 @@ def command(
         changes: dict[str, Any] = {"total_timesteps": timesteps, "stop_when_solved": False if full else None, "permissions": permissions}
         changes |= {"callbacks": _names(callbacks), "loggers": _names(loggers), "progress": progress}
         if Source.open(resume, permissions, SourceKind.RUN, SourceKind.GROUP).kind is SourceKind.GROUP:
-            group = learning.resume_group(resume, on_seed=None if quiet else _announce_seed, **changes)
-            _finish_group(group, quiet=quiet, as_json=as_json, permissions=permissions)
+            with processes.spread(workers, address, len(Group.open(resume).record.seeds), quiet=quiet) as spread:
+                group = learning.resume_group(resume, on_seed=None if quiet else _announce_seed, spread=spread, **changes)
+                _finish_group(group, spread, quiet=quiet, as_json=as_json, permissions=permissions)
             return
         with _page(wanted=to_view, permissions=permissions) as show_page, _placement(workers, address, quiet=quiet) as placement:
             show_page(resume)
@@ -173,7 +178,13 @@ def command(
         listed = None if seeds is None else seed_list(seeds)
         changed = [*with_engine(overrides, engine), *([] if shards is None else [f"train.shards={shards}"])]
         compiled = api.compile(scenario, overrides=changed, permissions=permissions)
-        _check_workers(compiled.program, workers, address)
+        training = compiled.program.agent.training
+        if listed is not None:
+            processes.check_dividable(workers, address, len(listed), "there is one seed; name several with --seeds")
+        elif training is not None:
+            processes.check_dividable(
+                workers, address, training.shards, "the training has one shard; add --shards N, or --seeds for several trainings"
+            )
         terminal.note_warnings(compiled.findings, scenario)
         settings: dict[str, Any] = {
             "total_timesteps": timesteps,
@@ -193,19 +204,14 @@ def command(
             if not as_json:
                 _name_faster_engine(compiled.program, timesteps, permissions=permissions)
         if listed is not None:
-            group = learning.train_group(compiled, listed, group=run, on_seed=None if quiet else _announce_seed, **settings)
-            _finish_group(group, quiet=quiet, as_json=as_json, permissions=permissions)
+            with processes.spread(workers, address, len(listed), quiet=quiet) as spread:
+                announce = None if quiet else _announce_seed
+                group = learning.train_group(compiled, listed, group=run, on_seed=announce, spread=spread, **settings)
+                _finish_group(group, spread, quiet=quiet, as_json=as_json, permissions=permissions)
             return
         with _page(wanted=to_view, permissions=permissions) as show_page, _placement(workers, address, quiet=quiet) as placement:
             result = train(compiled, run=run, seed=seed or 0, on_start=show_page, placement=placement, **settings)
     _finish(result, quiet=quiet, as_json=as_json, permissions=permissions)
-
-
-def _check_workers(program: Program, workers: int | None, address: str | None) -> None:
-    """Raises: UsageError: There are workers, but only one shard."""
-    option = "--workers" if workers is not None else "--cluster" if address is not None else None
-    if option is not None and program.agent.training is not None and program.agent.training.shards == 1:
-        raise UsageError(f"{option} has nothing to divide, since the training has one shard; add --shards N")
 
 
 @contextmanager
@@ -309,11 +315,11 @@ def _evaluating(trained: Path, *, quiet: bool) -> Iterator[None]:
         raise typer.Exit(INTERRUPTED) from None
 
 
-def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
+def _finish_group(group: GroupTraining, spread: Spread, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
     """Show the trainings of a group; unless it was interrupted, evaluate all of its runs and name the next commands."""
     _show_training(records.group_training_text(group), {"training": vars(group), "evaluation": None}, group.interrupted, as_json=as_json)
     with _evaluating(group.group, quiet=quiet), terminal.progress("runs", always=False) as show_run:
-        evaluation = learning.evaluate_group(group.group, permissions=permissions, on_run=show_run)
+        evaluation = learning.evaluate_group(group.group, permissions=permissions, on_run=show_run, spread=spread)
     for found in evaluation.evaluations:
         records.write_evaluation(Run.open(found.run), records.evaluation_json(found))
     path, data = quote(str(group.group)), {"training": vars(group), "evaluation": records.group_json(evaluation)}

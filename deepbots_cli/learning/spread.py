@@ -1,0 +1,139 @@
+"""Calls of one function with several items, such as the seeds of a group: in this process, or on the workers of `deepbots_cli.cluster`.
+
+A result must depend on its item only. A call whose worker was lost is repeated on another one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, TypedDict, TypeVar, Unpack
+
+from deepbots_cli.errors import DeepbotsError
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def _ignore(value: object) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """A call of the function.
+
+    Attributes:
+        number: 1, or higher if the worker of an earlier call with this item was lost.
+        report: Tells the caller how far the call is; the newest value replaces an earlier one.
+        note: Tells the user something.
+    """
+
+    number: int = 1
+    report: Callable[[object], None] = _ignore
+    note: Callable[[str], None] = _ignore
+
+
+class Watcher:
+    """Follows calls; items are numbered from 0. This one does nothing."""
+
+    def on_report(self, item: int, value: object) -> None:
+        """Called with the newest `report` of a call."""
+
+    def on_note(self, item: int, text: str) -> None:
+        """Called with what the user should know of a call."""
+
+    def on_loss(self, item: int) -> None:
+        """Called when the worker of a call was lost, which another one repeats."""
+
+    def on_done(self, item: int, outcome: object) -> None:
+        """Called after a call, not necessarily in the order of the items, with what `map` yields for it."""
+
+
+UNWATCHED = Watcher()
+
+
+class Counter(Watcher):
+    """Calls a function with the number of items that are done and that of all items."""
+
+    def __init__(self, show: Callable[[int, int], object] | None, total: int) -> None:
+        self._show, self._done, self.total = show, 0, total
+
+    def on_done(self, item: int, outcome: object) -> None:
+        self._done += 1
+        if self._show is not None:
+            self._show(self._done, self.total)
+
+
+class CallOptions(TypedDict, total=False):
+    """Options of `Spread.map`.
+
+    Attributes:
+        watcher: Is told of reports, notes and results.
+        files: Files that every worker must see.
+        log: Returns the file for the output of the call with an item, on a worker.
+        stop: Returns whether to stop: calls that run on workers receive SIGTERM once, and no other call begins. With it, each call has a
+            process of its own.
+    """
+
+    watcher: Watcher
+    files: Sequence[Path]
+    log: Callable[[Any], Path]
+    stop: Callable[[], bool]
+
+
+class Spread(Protocol):
+    """Where calls run."""
+
+    @property
+    def is_here(self) -> bool:
+        """Whether calls run in this process, one after the other."""
+
+    def map(
+        self, function: Callable[[Item, Attempt], Result], items: Iterable[Item], **options: Unpack[CallOptions]
+    ) -> Generator[Result | DeepbotsError | None]:
+        """Call a function with each item, and yield the results in the order of the items.
+
+        A DeepbotsError that a call raises is yielded in its place, and the other calls go on. After a stop the results end early, and
+        None stands for a call that has not been completed. To close the generator ends the calls.
+
+        Args:
+            function: A function of a module, which takes an item. Workers need both to be picklable.
+            items: The items; they are made when they are needed.
+
+        Raises:
+            UsageError: A worker has other versions of deepbots or of its libraries, or does not see a file.
+        """
+
+
+class _ThisProcess:
+    is_here = True
+
+    def map(
+        self, function: Callable[[Item, Attempt], Result], items: Iterable[Item], **options: Unpack[CallOptions]
+    ) -> Generator[Result | DeepbotsError | None]:
+        watcher = options.get("watcher", UNWATCHED)
+        for number, item in enumerate(items):
+            outcome: Result | DeepbotsError
+            try:
+                outcome = function(item, Attempt())
+            except DeepbotsError as error:
+                outcome = error
+            watcher.on_done(number, outcome)
+            yield outcome
+
+
+ONE_BY_ONE: Spread = _ThisProcess()
+
+
+def results(found: Generator[Result | DeepbotsError | None]) -> Generator[Result]:
+    """The results of `map`; the first error among them is raised, and ends the calls."""
+    try:
+        for outcome in found:
+            if isinstance(outcome, DeepbotsError):
+                raise outcome
+            if outcome is not None:
+                yield outcome
+    finally:
+        found.close()

@@ -1,0 +1,288 @@
+"""Several trainings, evaluations and tests on workers: the same results as one after the other, also after workers were lost."""
+
+from __future__ import annotations
+
+import io
+import os
+import pickle
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_cluster_shards import outcome
+
+from deepbots_cli import api
+from deepbots_cli.api import Compiled
+from deepbots_cli.cli import main
+from deepbots_cli.cluster import Cluster
+from deepbots_cli.errors import DeepbotsError, UsageError
+from deepbots_cli.learning import evaluate_group, resume_group, train_group
+from deepbots_cli.learning.group import GroupTraining
+from deepbots_cli.learning.report import GroupProgressReporter, TrainingProgress, to_json
+from deepbots_cli.learning.run import TrainingResult
+from deepbots_cli.learning.spread import ONE_BY_ONE, Watcher, results
+from tests.cluster.calls import lose, square
+
+pytest.importorskip("ray")
+SEEDS = (0, 1, 2)
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Cluster]:
+    with Cluster(workers=2) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Compiled:
+    return api.compile("cartpole", overrides=["train.n_steps=64"])
+
+
+class Losses(Watcher):
+    def __init__(self) -> None:
+        self.items: list[int] = []
+
+    def on_loss(self, item: int) -> None:
+        self.items.append(item)
+
+
+def outcomes(group: Path) -> list[Any]:
+    """What the trainings of a group have made, to the bit."""
+    return [outcome(run) for run in sorted(group.glob("seed-*"))]
+
+
+def test_trainings_on_workers_give_the_same(cluster: Cluster, scenario: Compiled, tmp_path: Path) -> None:
+    train_group(scenario, SEEDS[:2], group=tmp_path / "here", total_timesteps=800)
+    found = train_group(scenario, SEEDS[:2], group=tmp_path / "workers", total_timesteps=800, spread=cluster)
+    assert [result.run.name for result in found.trained] == ["seed-0", "seed-1"]
+    assert outcomes(tmp_path / "workers") == outcomes(tmp_path / "here")
+    assert sorted(path.name for path in (tmp_path / "workers").iterdir()) == sorted(path.name for path in (tmp_path / "here").iterdir())
+
+
+def test_results_and_errors_come_in_the_order_of_the_items(cluster: Cluster) -> None:
+    assert list(results(cluster.map(square, range(3)))) == [0, 1, 4]
+    *squares, error, last = cluster.map(square, range(5))
+    assert (squares, str(error), last) == ([0, 1, 4], "there is no square of 3", 16)
+
+
+def test_a_worker_with_another_version_or_without_a_file_is_refused(
+    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "group.json"
+    file.write_text("{}")
+    unseen = cluster.map(square, range(2), files=[file])
+    file.write_text("{ }")
+    with pytest.raises(UsageError, match=r"the worker on .* does not see .*group\.json; use a folder that all nodes share"):
+        list(unseen)
+    monkeypatch.setattr("deepbots_cli.__version__", "99.0")  # here, so this process believes in another version
+    with pytest.raises(UsageError, match=r"the worker on .* has deepbots .*, but this process has 99\.0"):
+        list(cluster.map(square, range(2)))
+
+
+@pytest.mark.slow
+def test_a_lost_call_is_repeated_up_to_three_times(cluster: Cluster) -> None:
+    losses = Losses()
+    first, failure, other = cluster.map(lose, range(3), watcher=losses)
+    assert (first, other) == (2, 1)
+    assert isinstance(failure, DeepbotsError)
+    assert "it ended its worker 3 times" in str(failure)
+    assert sorted(losses.items) == [0, 1, 1]
+
+
+def test_every_error_passes_from_a_worker_to_this_process() -> None:
+    def kinds(base: type[DeepbotsError]) -> Iterator[type[DeepbotsError]]:
+        yield base
+        for kind in base.__subclasses__():
+            yield from kinds(kind)
+
+    for kind in kinds(DeepbotsError):
+        error = kind.__new__(kind, "what is wrong")
+        error.add_note("what to do")
+        found = pickle.loads(pickle.dumps(error))
+        assert (type(found), found.full_message) == (kind, "what is wrong\nwhat to do")
+
+
+def tasks() -> list[int]:
+    """The processes of calls: children of a raylet, which is a child of this process."""
+    processes = subprocess.run(["ps", "-eo", "pid=,ppid=,args="], capture_output=True, text=True, check=True).stdout.splitlines()
+    parents = {int(pid): int(parent) for pid, parent, *_ in map(str.split, processes)}
+    found = [int(line.split()[0]) for line in processes if "ray::perform" in line and "defunct" not in line]
+    return sorted(pid for pid in found if parents.get(parents[pid]) == os.getpid())
+
+
+def act_at(monkeypatch: pytest.MonkeyPatch, steps: int, times: int, act: Callable[[], object]) -> list[object]:
+    """Each time a training has come so many steps further, `act` is called; the list of what it returned."""
+    done: list[object] = []
+    reported = GroupProgressReporter.on_report
+
+    def on_report(self: GroupProgressReporter, item: int, value: object) -> None:
+        reported(self, item, value)
+        if isinstance(value, TrainingProgress) and value.steps > (1 + len(done)) * steps and len(done) < times:
+            done.append(act())
+
+    monkeypatch.setattr(GroupProgressReporter, "on_report", on_report)
+    return done
+
+
+@pytest.fixture(scope="module")
+def trained_here(scenario: Compiled, tmp_path_factory: pytest.TempPathFactory) -> GroupTraining:
+    return train_group(scenario, SEEDS, runs=tmp_path_factory.mktemp("here"), total_timesteps=6_000)
+
+
+@pytest.mark.slow
+def test_trainings_whose_workers_were_killed_give_the_same(
+    cluster: Cluster, scenario: Compiled, trained_here: GroupTraining, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    killed = act_at(monkeypatch, 1_000, 4, lambda: os.kill(tasks()[-1], signal.SIGKILL))
+    found = train_group(scenario, SEEDS, group=tmp_path / "killed", total_timesteps=6_000, progress=True, spread=cluster)
+    assert len(killed) == 4
+    assert not found.failed
+    assert outcomes(tmp_path / "killed") == outcomes(trained_here.group)
+
+
+@pytest.mark.slow
+def test_ctrl_c_stops_all_trainings_after_their_rollouts(
+    cluster: Cluster,
+    scenario: Compiled,
+    trained_here: GroupTraining,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    asked = act_at(monkeypatch, 1_000, 1, lambda: os.kill(os.getpid(), signal.SIGINT))
+    stopped = train_group(scenario, SEEDS, group=tmp_path / "stopped", total_timesteps=6_000, progress=True, spread=cluster)
+    assert len(asked) == 1
+    assert {result.status for result in stopped.trained} == {"interrupted"}
+    assert stopped.waiting == SEEDS
+    assert capfd.readouterr().err.count("continue with: deepbots train --resume") == 1
+    assert resume_group(tmp_path / "stopped", spread=cluster).waiting == ()
+    assert outcomes(tmp_path / "stopped") == outcomes(trained_here.group)
+
+
+@pytest.mark.slow
+def test_a_second_ctrl_c_ends_them_at_once(cluster: Cluster, scenario: Compiled, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def twice() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    act_at(monkeypatch, 200, 1, twice)
+    stopped = train_group(scenario, SEEDS, group=tmp_path / "group", total_timesteps=600_000, progress=True, spread=cluster)
+    assert (stopped.trained, stopped.waiting) == ((), SEEDS)
+    deadline = time.monotonic() + 20
+    while tasks() and time.monotonic() < deadline:
+        time.sleep(0.2)
+    assert not tasks()
+
+
+@pytest.mark.slow
+def test_evaluations_on_workers_are_the_same_and_stop_at_the_same_episode(cluster: Cluster, trained_here: GroupTraining) -> None:
+    for until, episodes in ((None, [6, 6, 6]), (lambda done: len(done) >= 8, [6, 2])):
+        here, workers = (
+            evaluate_group(trained_here.group, episodes=6, until=until, spread=spread).evaluations for spread in (ONE_BY_ONE, cluster)
+        )
+        assert [result.episodes for result in workers] == episodes
+        assert [to_json(each) for each in workers] == [to_json(each) for each in here]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["eval", "compare", "robustness", "test"])
+def test_commands_print_the_same_with_workers(
+    command: str, trained_here: GroupTraining, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    import ray
+
+    ray.shutdown()  # each command starts its own
+    monkeypatch.chdir(tmp_path)
+    group = str(trained_here.group)
+    arguments = {
+        "eval": [group, "--episodes", "5"],
+        "compare": [group, "--episodes", "5", "--json"],
+        "robustness": [f"{group}/seed-0", "--episodes", "2", "--json"],
+        "test": ["cartpole", "find_ball", "--json"],
+    }[command]
+    printed = []
+    for workers in ([], ["--workers", "2"]):
+        code = main([command, *arguments, *workers])
+        printed.append((code, re.sub(r'"seconds": [0-9.]+', "", capfd.readouterr().out)))
+    assert printed[1] == printed[0]
+    assert printed[0][0] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["train", "cartpole", "--seeds", "3", "--workers", "2"], "--workers has nothing to divide, since there is one seed"),
+        (["test", "cartpole", "--cluster", "auto"], "--cluster has nothing to divide, since there is one scenario"),
+        (["test", "cartpole", "find_ball", "--workers", "2", "--cluster", "auto"], "--workers and --cluster cannot be combined"),
+    ],
+)
+def test_workers_with_nothing_to_divide_are_refused(arguments: list[str], reason: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 2
+    assert reason in capsys.readouterr().err
+
+
+def test_without_ray_workers_are_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    assert main(["test", "cartpole", "find_ball", "--workers", "2"]) == 2
+    assert "--workers and --cluster needs the 'cluster' extra" in capsys.readouterr().err
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def finished(run: Path) -> TrainingResult:
+    return TrainingResult(
+        run=run,
+        status="finished",
+        steps=6_144,
+        total_timesteps=6_000,
+        episodes=146,
+        mean_return=42.19,
+        success_rate=None,
+        best_return=50.0,
+        simulated_hours=0.1,
+        evaluation_steps=0,
+        solved_at=None,
+        cpu_seconds=1.0,
+        wall_seconds=1.0,
+        weights_digest="",
+    )
+
+
+def test_the_table_of_trainings_fits_80_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("LINES", "10")
+    monkeypatch.setenv("TERM", "xterm")
+    stream = Terminal()
+    table = GroupProgressReporter(Path("runs/group"), range(20), stream)
+    table.on_report(12, TrainingProgress(1_000_000, 40_000_000, 31_415, -1234.5, 0.125))
+    table.on_done(0, finished(Path("runs/group/seed-0")))
+    table.close()
+    lines = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", stream.getvalue()).splitlines()
+    assert max(map(len, lines)) <= 80
+    text = " ".join(" ".join(lines).split())
+    assert "12 training 1,000,000 of 40,000,000 31,415 -1234.5 12%" in text
+    assert "1 training, 1 finished, 18 waiting" in text
+
+
+def test_without_a_terminal_each_training_has_a_line_at_its_end() -> None:
+    stream = io.StringIO()
+    lines = GroupProgressReporter(Path("runs/group"), (7, 8), stream)
+    lines.on_loss(1)
+    lines.on_done(0, finished(Path("runs/group/seed-7")))
+    lines.stop()
+    lines.stop()
+    lines.close()
+    assert stream.getvalue().splitlines() == [
+        "note: the worker of seed 8 was lost; another one resumes the training",
+        "seed 7  finished  steps 6,144 of 6,000  episodes 146  return 42.2",
+        "stopping after these rollouts; continue with: deepbots train --resume runs/group",
+    ]
