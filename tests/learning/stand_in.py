@@ -78,7 +78,7 @@ def compiled(
         success=", success: {balanced: time > 1 h}" if success else "",
         cases=f", cases: {{{cases}}}" if cases else "",
     )
-    text += f"train: {_train(training or Training('PPO', 1_000, environments=2))}\n"
+    text += f"train: {_train(training or Training('PPO', 512, environments=2))}\n"
     if solved is not None:
         metric = "mean_return" if solved.success_rate is None else "success_rate"
         text += f"solved: {metric} >= {getattr(solved, metric)} over {solved.episodes} episodes\n"

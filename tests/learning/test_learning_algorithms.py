@@ -249,7 +249,7 @@ class Remember(stand_in.CartPole):
 @pytest.fixture(scope="module")
 def remembered(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
     figures = hyper(lstm=16, n_steps=32, batch_size=64, n_epochs=5, learning_rate=1e-2)
-    return learned(Remember, tmp_path_factory.mktemp("memory"), Training("RecurrentPPO", 2_500, 8, figures, Network((16,))))
+    return learned(Remember, tmp_path_factory.mktemp("memory"), Training("RecurrentPPO", 1_800, 8, figures, Network((16,))))
 
 
 def test_a_policy_with_a_memory_acts_by_what_it_saw_before(remembered: TrainingResult) -> None:

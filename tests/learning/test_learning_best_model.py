@@ -62,7 +62,7 @@ class Builder:
         return sum(seed == EVALUATION_SEEDS[0] for world in self.worlds for seed in world.seeds)
 
 
-def learned(folder: Path, build: Any = stand_in.build, total: int = 1_500, solved: Solved = EASY) -> TrainingResult:
+def learned(folder: Path, build: Any = stand_in.build, total: int = 800, solved: Solved = EASY) -> TrainingResult:
     figures = {"n_steps": 32, "batch_size": 32, "n_epochs": 1}
     hyperparameters = tuple(Hyperparameter(name, figure) for name, figure in figures.items())
     task = stand_in.compiled(
@@ -82,7 +82,7 @@ def test_a_training_does_not_end_while_the_policy_by_itself_does_not_solve_the_t
     _, result = unpaid
     assert result.solved_at is not None
     assert result.solved_at.steps < 200  # by the episodes of the training
-    assert (result.status, result.steps >= 1_500) == ("finished", True)
+    assert (result.status, result.steps >= 800) == ("finished", True)
 
 
 def test_a_training_ends_at_the_first_evaluation_that_solves_the_task(tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ def test_it_is_trained_evaluated_and_gone_on_with(tmp_path: Path, kind: str) -> 
     assert base is not None
     scenario = tmp_path / f"{kind}.yaml"
     scenario.write_text(f"deepbots: 1\nextends: {base}\nname: Kind\n{KINDS[kind]}", encoding="utf-8")
-    compiled = api.compile(scenario)
+    compiled = api.compile(scenario, overrides=["world.engine=mujoco"])  # which is the faster
     result = train(compiled, run=tmp_path / "run")
     first, again = (evaluate(result.run, episodes=2) for _ in range(2))
     assert first == again

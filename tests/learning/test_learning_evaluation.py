@@ -134,7 +134,7 @@ def evaluation_json() -> Compiled:
 
 
 def test_every_case_is_evaluated_from_the_same_starts(tmp_path: Path) -> None:
-    run = train(evaluation_json(), run=tmp_path / "run", total_timesteps=500, build=stand_in.build).run
+    run = train(evaluation_json(), run=tmp_path / "run", total_timesteps=200, build=stand_in.build).run
     base = evaluate(run, build=stand_in.build)
     short, same = evaluate_cases(run, build=stand_in.build)
     assert (short.case, short.episodes, short.greatest_return) == ("short", 3, 7.0)
@@ -148,7 +148,7 @@ def test_every_case_is_evaluated_from_the_same_starts(tmp_path: Path) -> None:
 
 
 def test_a_run_with_a_case_for_another_policy_is_refused(tmp_path: Path) -> None:
-    run = train(evaluation_json(), run=tmp_path / "run", total_timesteps=500, build=stand_in.build).run
+    run = train(evaluation_json(), run=tmp_path / "run", total_timesteps=200, build=stand_in.build).run
     resolved, text = run / "resolved.yaml", (run / "resolved.yaml").read_text()
     for forged in ("observation.speed: -2 .. 2 m/s", "evaluation.episodes: 3"):
         resolved.write_text(text.replace("truncation.max_steps: 7", forged))
@@ -173,7 +173,8 @@ def test_an_evaluation_that_already_excludes_what_is_asked_for_says_so() -> None
 
 
 def test_an_episode_keeps_the_seed_and_what_its_reset_drew(tmp_path: Path) -> None:
-    run = train("find_ball", run=tmp_path / "run", total_timesteps=1).run
+    task = compile("find_ball", overrides=["train.environments=1", "train.n_steps=32", "train.batch_size=32", "truncation.max_steps=50"])
+    run = train(task, run=tmp_path / "run", total_timesteps=1).run
     result = evaluate(run, episodes=2)
     with make("find_ball") as env:
         for episode in result.outcomes:

@@ -29,7 +29,7 @@ from deepbots_cli.learning.statistics import compare_seeds, interquartile_mean, 
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Solved, Training
 
-SHORT = Training("PPO", 400, 2, tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))))
+SHORT = Training("PPO", 200, 2, tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))))
 SCENARIO = stand_in.compiled(training=SHORT, solved=Solved(10, mean_return=195.0))
 
 
@@ -86,8 +86,8 @@ def test_an_interrupted_group_goes_on_and_skips_what_is_finished(trained_group: 
     assert read_listed(tmp_path / "group").state == "finished"
     again = resume_group(tmp_path / "group", build=stand_in.build)
     assert (again.trained, again.skipped) == ((), (0, 1, 4))
-    longer = resume_group(tmp_path / "group", total_timesteps=600, build=stand_in.build)
-    assert all(found.steps >= 600 for found in longer.trained)
+    longer = resume_group(tmp_path / "group", total_timesteps=300, build=stand_in.build)
+    assert all(found.steps >= 300 for found in longer.trained)
 
 
 def test_a_seed_that_diverges_does_not_end_the_others(tmp_path: Path) -> None:
@@ -144,7 +144,7 @@ def test_the_gate_of_a_group_stops_when_the_other_seeds_cannot_change_the_answer
 
 def test_two_groups_are_compared_by_their_seeds_though_their_scenario_is_the_same(trained_group: GroupTraining, tmp_path: Path) -> None:
     longer = shutil.copytree(trained_group.group, tmp_path / "longer")
-    resume_group(longer, total_timesteps=1_200, build=stand_in.build)
+    resume_group(longer, total_timesteps=400, build=stand_in.build)
     found = compare([trained_group.group, longer], episodes=5, build=stand_in.build)
     assert [(group.name, len(group.evaluations)) for group in found.groups] == [("stand_in-seeds-1", 3), ("longer", 3)]
     assert found.groups[0].solved_after == (None, None, None)

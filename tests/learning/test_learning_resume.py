@@ -285,7 +285,14 @@ def test_a_training_that_was_interrupted_becomes_the_same_too(tmp_path: Path) ->
 
 
 def test_the_generated_environment_is_brought_back_in_the_middle_of_an_episode(tmp_path: Path) -> None:
-    changes = ["train.total_timesteps=500", "train.environments=2", "train.n_steps=32", "train.batch_size=32", "train.n_epochs=2"]
+    changes = [
+        "world.engine=mujoco",
+        "train.total_timesteps=500",
+        "train.environments=2",
+        "train.n_steps=32",
+        "train.batch_size=32",
+        "train.n_epochs=2",
+    ]
 
     class Stop(Reporter):
         """Asks for the end of the training when it is half done."""
@@ -338,10 +345,10 @@ def test_a_world_that_does_not_repeat_itself_is_told_and_the_training_goes_on(tm
 
 
 def test_a_training_with_a_higher_goal_may_remember_more(tmp_path: Path) -> None:
-    training = Training("DQN", 400, 2, hyper(learning_starts=50), SMALL)  # whose buffer holds as many steps as the goal
+    training = Training("DQN", 200, 2, hyper(learning_starts=50), SMALL)  # whose buffer holds as many steps as the goal
     run = train(stand_in.compiled(training=training), run=tmp_path / "run", build=stand_in.build).run
-    assert resume(run, total_timesteps=1_000, build=stand_in.build).steps == 1_000
-    assert resume(run, total_timesteps=1_200, build=stand_in.build).steps == 1_200
+    assert resume(run, total_timesteps=400, build=stand_in.build).steps == 400
+    assert resume(run, total_timesteps=480, build=stand_in.build).steps == 480
 
 
 def test_checkpoints_are_kept_at_equal_distances_and_can_be_used(tmp_path: Path) -> None:
@@ -367,13 +374,13 @@ def test_a_training_begins_with_the_policy_of_another_run_and_says_what_it_took_
 
 
 def test_a_folder_that_cannot_be_written_leaves_the_last_good_state(tmp_path: Path) -> None:
-    run = train(compiled_of("PPO"), run=tmp_path / "run", total_timesteps=500, build=stand_in.build).run
+    run = train(compiled_of("PPO"), run=tmp_path / "run", total_timesteps=200, build=stand_in.build).run
     before = checkpoints.latest_checkpoint(Run.open(run))
     (run / "checkpoints" / "new").write_text("in the way")
     (run / "models" / "agent" / "last.zip").unlink()
     (run / "models" / "agent" / "last.zip").mkdir()
     with pytest.raises(RunError, match=r"cannot be written.*") as caught:
-        resume(run, total_timesteps=1_000, build=stand_in.build)
+        resume(run, total_timesteps=400, build=stand_in.build)
     assert f"is kept; continue from there with: deepbots train --resume {run}" in caught.value.full_message
     assert checkpoints.latest_checkpoint(Run.open(run)) == before
     assert evaluate(run, episodes=1, build=stand_in.build).episodes == 1
@@ -403,13 +410,13 @@ def test_a_training_without_room_for_its_first_files_names_one_and_can_begin_aga
 
 
 def test_a_training_without_room_for_a_checkpoint_keeps_the_last_one_and_becomes_the_same(tmp_path: Path) -> None:
-    whole = train(compiled_of("PPO"), run=tmp_path / "whole", total_timesteps=500, build=stand_in.build).run
+    whole = train(compiled_of("PPO"), run=tmp_path / "whole", total_timesteps=200, build=stand_in.build).run
     cut = shutil.copytree(whole, tmp_path / "cut")
     with files_of_at_most(8_000), pytest.raises(UsageError, match=r"cannot be written: file too large") as caught:
-        resume(cut, total_timesteps=1_000, build=stand_in.build)
+        resume(cut, total_timesteps=400, build=stand_in.build)
     assert f"is kept; continue from there with: deepbots train --resume {cut}" in caught.value.full_message
     for run in (whole, cut):
-        resume(run, total_timesteps=1_000, build=stand_in.build)
+        resume(run, total_timesteps=400, build=stand_in.build)
     for part in ("models", "monitor", "scalars"):
         assert outcome(cut)[part] == outcome(whole)[part]
 

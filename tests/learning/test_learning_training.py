@@ -33,8 +33,8 @@ from tests.few import few
 
 
 def short(tmp_path: Path, **settings: Any) -> TrainingResult:
-    """A training of 300 steps or so."""
-    training = Training("PPO", settings.pop("total", 300), environments=2, hyperparameters=hyper(n_steps=32, batch_size=32, n_epochs=1))
+    """A training of 256 steps."""
+    training = Training("PPO", settings.pop("total", 200), environments=2, hyperparameters=hyper(n_steps=32, batch_size=32, n_epochs=1))
     return train(stand_in.compiled(training=training, solved=settings.pop("solved", None)), runs=tmp_path, **settings)
 
 
@@ -241,10 +241,10 @@ def test_an_impatient_keyboard_interrupt_keeps_what_was_learned_too(tmp_path: Pa
 def test_a_killed_process_leaves_a_run_that_can_be_evaluated_and_resumed(tmp_path: Path) -> None:
     left = tmp_path / "left"
     runs = tmp_path / "runs"
-    short(runs, total=1_000, progress=Telling(3, lambda: shutil.copytree(next(runs.iterdir()), left)), build=stand_in.build)
+    short(runs, total=500, progress=Telling(3, lambda: shutil.copytree(next(runs.iterdir()), left)), build=stand_in.build)
     assert json.loads((left / "run.json").read_text())["status"] == "running"
     assert evaluate(left, episodes=1, build=stand_in.build).episodes == 1
-    assert resume(left, build=stand_in.build).steps >= 1_000
+    assert resume(left, build=stand_in.build).steps >= 500
 
 
 def test_training_works_outside_the_main_thread(tmp_path: Path) -> None:
@@ -348,7 +348,7 @@ def test_worlds_are_closed_after_success_and_failure(tmp_path: Path) -> None:
 
 def test_without_a_terminal_progress_is_a_line_for_every_tenth(tmp_path: Path) -> None:
     stream = io.StringIO()
-    short(tmp_path, total=2_000, progress=ProgressReporter(stream), build=stand_in.build)
+    short(tmp_path, total=1_000, progress=ProgressReporter(stream), build=stand_in.build)
     lines = stream.getvalue().splitlines()
     assert 5 <= len(lines) <= 11
     assert all("steps/s" in line and "return" in line for line in lines)

@@ -13,11 +13,13 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.rollout.drivers import HAND, RANDOM, ZERO
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import FrameReader, action_fields, observation_fields
+from tests.few import few
 
 SCENARIOS = ("cartpole", "find_ball_random", "quadruped", "multi_cartpole", "see_ball", "panda_push", "line_follower")
+BATCHES = ("cartpole_wireless", "find_and_avoid", "multi_cartpole", "quadruped", "panda_push")
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", few(SCENARIOS, SCENARIOS[1:5]))
 def test_an_episode_is_the_same_with_and_without_frames(name):
     found = []
     for read in (False, True):
@@ -66,7 +68,7 @@ def test_returns_and_endings_are_those_of_the_episode():
     assert frames[-1].time == pytest.approx(0.128 * (len(frames) - 1))
 
 
-@pytest.mark.parametrize("name", ["cartpole_wireless", "find_and_avoid", "multi_cartpole", "quadruped", "panda_push"])
+@pytest.mark.parametrize("name", few(BATCHES, BATCHES[1:4]))
 def test_a_world_of_a_batch_has_the_frames_of_a_single_world(name):
     with closing(Showing(name, engine="mujoco", worlds=3).open().player(RANDOM)) as batch:
         batch.world = 2
