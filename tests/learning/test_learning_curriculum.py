@@ -25,7 +25,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import Criterion, Hyperparameter, Solved, Training
 from deepbots_cli.rollout import Episode
 
-PPO = Training("PPO", 1_500, 3, tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))))
+PPO = Training("PPO", 1_000, 3, tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))))
 SHORT, LONG = Criterion("mean_return", 4.5, 6), Criterion("steps", 300.0)
 
 

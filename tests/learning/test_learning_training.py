@@ -104,7 +104,7 @@ def test_tensorboard_shows_returns_terms_and_simulated_time(trained: TrainingRes
 def test_tensorboard_shows_a_success_rate_where_episodes_may_end_in_success(tmp_path: Path) -> None:
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    result = train(stand_in.compiled(success=True), runs=tmp_path, build=stand_in.build, total_timesteps=1_000)
+    result = train(stand_in.compiled(success=True), runs=tmp_path, build=stand_in.build, total_timesteps=256)
     events = EventAccumulator(str(result.run / "tensorboard"))
     events.Reload()
     assert "rollout/success_rate" in events.Tags()["scalars"]
@@ -117,8 +117,8 @@ def test_training_stops_when_solved_unless_told_to_go_on(tmp_path: Path) -> None
     assert stopped.steps < 1_000
     assert stopped.solved_at is not None
     assert stopped.solved_at.cpu_seconds > 0
-    further = short(tmp_path, total=600, solved=easy, stop_when_solved=False, build=stand_in.build)
-    assert further.steps >= 600
+    further = short(tmp_path, total=300, solved=easy, stop_when_solved=False, build=stand_in.build)
+    assert further.steps >= 300
     assert further.solved_at is not None
 
 
@@ -127,8 +127,8 @@ def test_a_resumed_training_goes_on_with_its_counts_and_appends_to_its_log(run_c
     events = set((run_copy / "tensorboard").iterdir())
     with pytest.raises(UsageError, match="is complete"):
         resume(run_copy, build=stand_in.build)
-    result = resume(run_copy, total_timesteps=trained.steps + 1_500, build=stand_in.build)
-    assert result.steps >= trained.steps + 1_500
+    result = resume(run_copy, total_timesteps=trained.steps + 500, build=stand_in.build)
+    assert result.steps >= trained.steps + 500
     assert result.episodes > trained.episodes
     assert (run_copy / "monitor.csv").read_text().startswith(before)
     assert [int(row["episode"]) for row in rows(run_copy)] == list(range(1, result.episodes + 1))
@@ -185,7 +185,7 @@ def test_an_interrupted_training_keeps_what_was_learned_and_says_how_to_go_on(tm
 def test_sigterm_ends_a_training_with_the_command_that_continues_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     class Terminated(ProgressReporter):
         def update(self, progress: TrainingProgress) -> None:
-            if 1_000 < progress.steps < 2_000:
+            if 200 < progress.steps < 1_000:
                 os.kill(os.getpid(), signal.SIGTERM)
 
     result = short(tmp_path, total=50_000, progress=Terminated(), build=stand_in.build)
@@ -203,9 +203,9 @@ def test_a_stop_after_the_last_step_leaves_nothing_to_resume(tmp_path: Path) -> 
                 self.stopped = True
                 os.kill(os.getpid(), signal.SIGINT)
 
-    result = short(tmp_path, total=2_000, solved=Solved(10, mean_return=1e6), progress=Late(), build=stand_in.build)
+    result = short(tmp_path, total=300, solved=Solved(10, mean_return=1e6), progress=Late(), build=stand_in.build)
     assert (result.status, result.stop_requested) == ("finished", True)
-    assert result.steps > 2_000
+    assert result.steps > 300
     assert "--resume" not in training_text(result)
     assert f"evaluate the policy with: deepbots eval {result.run}" in training_text(result)
     with pytest.raises(UsageError, match="is complete"):

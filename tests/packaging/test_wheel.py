@@ -83,7 +83,7 @@ print([main(words.split()) for words in ("scenarios --json", "lint cartpole", "e
 
 
 def test_a_copied_scenario_runs_from_the_folder_it_was_copied_to(installed: Path, tmp_path: Path) -> None:
-    assert deepbots(installed, tmp_path, "new", "cartpole", "mine", "--from", "cartpole").returncode == 0
+    assert deepbots(installed, tmp_path, "new", "cartpole", "mine", "--from", "cartpole", "--json").returncode == 0
     (scenario,) = (tmp_path / "mine").glob("*.yaml")
     ran = deepbots(installed, tmp_path, "try", str(scenario), "--steps", "20", "--json")
     assert ran.returncode == 0, ran.stderr
