@@ -89,7 +89,8 @@ def refuse_overwriting(*present: Path, force: bool) -> None:
         names = ", ".join(sorted(map(str, present)))
         one = len(present) == 1
         raise UsageError(
-            f"{names} already exist{'s' * one}; overwrite {'it' if one else 'them'} with --force (force=True), or choose another name"
+            f"{names} already exist{'s' * one}; overwrite {'it' if one else 'them'} with --force (in Python: force=True), "
+            "or choose another name"
         )
 
 
@@ -101,7 +102,9 @@ def check_new_folder(folder: Path, *, force: bool) -> None:
     """
     check_folder(folder)
     if not force and folder.is_dir() and any(folder.iterdir()):
-        raise UsageError(f"{folder} is not empty; choose another folder, or replace files of the same name with --force (force=True)")
+        raise UsageError(
+            f"{folder} is not empty; choose another folder, or replace files of the same name with --force (in Python: force=True)"
+        )
 
 
 def check_folder(folder: Path) -> None:

@@ -143,8 +143,8 @@ class FasterEngine:
         """What to write, and what changes by it."""
         return (
             f"{self.engine} steps this world {self.ratio:.1f} times as fast as {self.used} ({self.steps_per_second:,.0f} against "
-            f"{self.used_steps_per_second:,.0f} steps/s): write `world: {{engine: {self.engine}}}`, or --engine {self.engine}. "
-            "Motion and results differ between engines."
+            f"{self.used_steps_per_second:,.0f} steps/s). To use it, add the line `engine: {self.engine}` to the section `world`, or give "
+            f"--engine {self.engine}. It is not required, and motion and results differ between engines."
         )
 
 

@@ -163,5 +163,7 @@ def _hint(path: Path) -> str:
     if near is not None:
         return f"did you mean {near}?"
     names = shipped.scenario_names()
+    if path.stem in names:  # as in `cartpole.yaml`
+        return f"the shipped scenario is called `{path.stem}`; `deepbots new {path.stem} --from {path.stem}` copies it to {path.stem}.yaml"
     near = nearest_word(path.stem, names)
     return f"did you mean {near}? (`deepbots scenarios` shows all)" if near else f"the shipped scenarios are: {', '.join(names)}"

@@ -253,10 +253,29 @@ def test_no_two_concepts_share_a_name():
         ("mimic", "mimic joint"),
         ("passive joint", "passive joint"),
         ("two policies", "several policies"),
+        ("scenario", "scenario"),
+        ("step", "step"),
+        ("training", "training"),
+        ("run", "run"),
+        ("reinforcement learning", "reinforcement learning"),
+        ("agent", "agent"),
+        ("reward", "reward"),
+        ("URDF", "robot file"),
+        ("95 %", "confidence interval"),
     ],
 )
 def test_a_term_that_a_beginner_meets_is_explained(deepbots, word, concept):
     assert deepbots("explain", word).out.startswith(f"{concept}: a concept")
+
+
+def test_two_words_need_no_quotes(deepbots):
+    assert deepbots("explain", "success", "rate").out == deepbots("explain", "success rate").out
+
+
+def test_a_short_word_is_not_taken_for_another(deepbots):
+    ran = deepbots("explain", "tast")
+    assert (ran.code, ran.out) == (2, "")
+    assert "this is the entry" not in ran.err
 
 
 def test_a_key_of_some_algorithms_names_them(deepbots):

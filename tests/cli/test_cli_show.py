@@ -358,7 +358,8 @@ def test_what_is_no_whole_number_is_refused_with_how_to_write_one(deepbots, word
 
 def test_the_engine_that_steps_a_world_fastest_is_named_with_its_ratio(deepbots):
     pytest.importorskip("pybullet")
-    line = r"mujoco steps this world (\d+\.\d) times as fast as pybullet \([\d,]+ against [\d,]+ steps/s\): write `world: {engine: mujoco}`"
+    speeds = r"\([\d,]+ against [\d,]+ steps/s\)"
+    line = rf"mujoco steps this world (\d+\.\d) times as fast as pybullet {speeds}\. To use it, add the line `engine: mujoco`"
     assert re.search(line, deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1").out)
     assert re.search(line, deepbots("new", "mine", "--template", "cartpole").err)
     found = json.loads(deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1", "--json").out)["faster_engine"]

@@ -43,19 +43,19 @@ _FINDING = re.compile(r"db\d|.*-", re.IGNORECASE)
 
 
 def command(
-    finding: Annotated[
-        str,
+    words: Annotated[
+        list[str] | None,
         typer.Argument(
             metavar="WORD",
             help="Code or name of a finding, prefix of codes, word of the scenario language, or term; by default all findings.",
         ),
-    ] = "",
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Explain a finding of lint, a key of scenario files, or a term.
 
     Words of the scenario language are keys, functions, units, and kinds of sensors, actuators, objects and algorithms. The
-    glossary has terms of reinforcement learning, such as HER, domain randomization or time limit. Without a word, the command lists all
+    glossary has terms of reinforcement learning, such as episode, HER or time limit. Without a word, the command lists all
     findings.
 
     \b
@@ -64,10 +64,11 @@ def command(
       deepbots explain DB7
       deepbots explain clearance
       deepbots explain gyro
-      deepbots explain HER
-      deepbots explain domain-randomization
+      deepbots explain episode
+      deepbots explain success rate
       deepbots explain
     """
+    finding = " ".join(words or ())
     found = matching_rules(finding)
     if not found:
         lines = explain_word(finding)
@@ -138,6 +139,10 @@ def _width() -> int:
     return min(terminal.width(), 100)
 
 
+_MIN_MISSPELLED = 5
+"""Letters of a word that is read as a misspelling of another; `best` is one letter away from `tests`."""
+_MIN_BEGINNING = 3
+
 GLOSSARY = Path(__file__).parents[1] / "glossary.yaml"
 _MAX_SHOWN = 8
 """Places: a name such as `range` is a key of many sections."""
@@ -193,6 +198,8 @@ def explain_word(word: str) -> list[str]:
 
 def misspelled_word(word: str) -> str | None:
     """The concept or word of the language that differs from `word` by one letter, such as `curiculum`; None if there is none."""
+    if len(word) < _MIN_MISSPELLED:
+        return None
     concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
     return next((name for name in (*concepts, *_words()) if is_typo(_plain(word), _plain(name))), None)
 
@@ -253,12 +260,17 @@ def _words() -> dict[str, None]:
 def unknown_word_message(word: str) -> str:
     """The error for a word that has no entry."""
     concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
-    near = nearest_word(word, concepts, 0.8) or nearest_word(word, list(_words())) or nearest_word(word, concepts)
+    near = nearest_word(word, concepts, 0.8) or nearest_word(word, list(_words()), 0.8) or _beginning_of(word)
     hint = f"; did you mean {near}?" if near else "; `deepbots explain` lists all findings"
     others = _others(word, ())
     if others:
         hint = f"; see {', '.join(others)}"
     return f"there is no finding, key, kind, function, unit or concept '{word}'{hint}"
+
+
+def _beginning_of(word: str) -> str | None:
+    """The longest word of the language with which `word` begins, such as `gyro` of `gyroscope`."""
+    return max((name for name in _words() if len(name) >= _MIN_BEGINNING and word.lower().startswith(name.lower())), key=len, default=None)
 
 
 def _of_function(word: str) -> Iterator[str]:
