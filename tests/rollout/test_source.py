@@ -77,7 +77,7 @@ NOT_A_SOURCE = "{} is not a run, a group or a scenario: it is a folder without r
     ("name", "commands", "sentence"),
     [
         ("cartpool", [*SCENARIO, *RUN, *EITHER, *RENDERED, *FOLDER_OR_FILE], NOWHERE + NEAR_CARTPOLE),
-        ("cartpole.yaml", [SCENARIO[0], RUN[0]], NOWHERE + "the shipped scenario is called `cartpole`; `deepbots new cartpole --from cartpole`"),
+        ("cartpole.yaml", [SCENARIO[0], RUN[0]], NOWHERE + "the shipped scenario is called `cartpole`; `deepbots new cartpole"),
         ("cart", [*SCENARIO, *RUN, *EITHER, *RENDERED, *FOLDER_OR_FILE], NOWHERE + "did you mean cart.yaml?"),
         ("empty", [*SCENARIO, *RUN, *EITHER, *RENDERED], NOT_A_SOURCE),
         ("pictures", [*SCENARIO, *RUN, *EITHER, *RENDERED], NOT_A_SOURCE),
