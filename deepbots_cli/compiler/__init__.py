@@ -13,6 +13,7 @@ policy.py       action, observation, goal, scripts, copies of a robot
 places.py       placements, layouts, maps, and whether there is room
 episodes.py     what an episode draws: parameters, channels, disturbances; how it begins; signals, reward, endings, limits
 evaluation.py   training; cases of the evaluation and stages of the curriculum; tests of the scenario
+search.py       the search of `tune`
 inputs.py       the files that the scenario was made from, as a run keeps copies of them
 inventory.py    the names of a scenario by kind, for editors and its JSON Schema
 """
@@ -20,7 +21,7 @@ inventory.py    the names of a scenario by kind, for editors and its JSON Schema
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 from deepbots_cli.compiler.controllers import RobotBuilder, commanded
@@ -42,6 +43,7 @@ from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.policy import Actions, Goals, Observations, copies, scripts
 from deepbots_cli.compiler.robots import ResolvedRobot, load_robot
+from deepbots_cli.compiler.search import compile_search
 from deepbots_cli.compiler.values import ValueReader, invalid_names
 from deepbots_cli.compiler.world import define_bodies, lines, world
 from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
@@ -51,6 +53,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import ONLY_AGENT, Agent, Evaluation, ScenarioTest, Truncation
 from deepbots_cli.scenario.base import visit_values
 from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.search import SearchSpace
 from deepbots_cli.scenario.validate import validate
 
 __all__ = ["CheckedScenario", "check"]
@@ -63,7 +66,7 @@ class CheckedScenario:
     """A document that was checked; `program` is None where findings at error level left nothing to compile.
 
     `variants` are the same for the scenario under the settings of each case and stage. `tests` are those of the file, each compiled
-    under its own case or stage.
+    under its own case or stage. `search` is the search space of each key under `tune`.
     """
 
     document: Document
@@ -74,6 +77,7 @@ class CheckedScenario:
     namespace: Namespace | None = None
     variants: tuple[CheckedScenario, ...] = ()
     tests: tuple[ScenarioTest, ...] = ()
+    search: Mapping[str, SearchSpace] = field(default_factory=dict)
 
     @property
     def inputs(self) -> Inputs:
@@ -94,6 +98,9 @@ def check(document: Document) -> CheckedScenario:
     """Run all passes that can run; every problem ends up in `findings`, unless they are too many."""
     try:
         checked = _check(document)
+        if checked.program is not None and checked.spec is not None and checked.spec.tune is not None:
+            search = compile_search(document, checked.program, checked.findings, _check)
+            checked = replace(checked, search=search, program=None if checked.findings.errors else checked.program)
         if checked.program is None or checked.spec is None or not (checked.spec.evaluation.cases or checked.spec.curriculum):
             return checked
         sent = frozenset(f"{robot.name}.{field.name}" for robot in checked.program.robots for field in robot.emit)

@@ -151,7 +151,9 @@ MAX_VARIANTS = 64
 MAX_VALUES = 40_000
 """Of all of them together. The largest scenario that comes with deepbots has 500, of which all 64 would take 32 000."""
 
-_FIXED_SECTIONS = ("deepbots", "name", "summary", "agent", "action", "observation", "goal", "curriculum", "evaluation", "solved", "train")
+_FIXED_SECTIONS = frozenset(
+    ("deepbots", "name", "summary", "agent", "action", "observation", "goal", "curriculum", "evaluation", "solved", "train", "tune")
+)
 _VARIANT_SECTIONS: tuple[NodePath, ...] = (("curriculum",), ("evaluation", "cases"))
 
 Check = Callable[[Document], "CheckedScenario"]

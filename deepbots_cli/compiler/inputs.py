@@ -10,9 +10,10 @@ from pathlib import Path, PurePath
 
 from deepbots_cli.compiler.robots import ResolvedRobot
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.document import Document, Entry, Node, ScalarNode, descend, shipped
+from deepbots_cli.document import Document, Entry, ScalarNode, descend, shipped
 from deepbots_cli.document.layout import to_yaml
-from deepbots_cli.document.nodes import NodePath, walk, with_entry
+from deepbots_cli.document.load import TUNE
+from deepbots_cli.document.nodes import NodePath, walk, with_entry, without_paths
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import unwritable_message
 
@@ -68,10 +69,10 @@ class Inputs:
         return {name: texts[file].encode() if file in texts else _bytes(file) for file, name in self.names.items()}
 
     def resolved(self) -> str:
-        """The merged scenario as YAML, with the copies as its files."""
+        """The merged scenario as YAML, with the copies as its files. It has no `tune`, whose check takes longer than all others."""
         if self.document.root is None:
             return ""
-        root: Node = self.document.root
+        root = without_paths(self.document.root, [(TUNE,)])
         for path, file in (self._named | self._set()).items():
             written, key, _ = descend(root, path)
             if isinstance(written, ScalarNode) and key is not None:

@@ -125,7 +125,7 @@ _CATALOG = (
         deep_preview=True,
     ),
     Rule("DB612", "algorithm-space-mismatch", "error", "an algorithm or a network that does not suit the spaces of the agent"),
-    Rule("DB613", "case-changes-interface", "error", "a case or stage that changes the interface of the policy"),
+    Rule("DB613", "case-changes-interface", "error", "a case, a stage or a search that changes the interface of the policy"),
     Rule("DB614", "goal-in-observation", "warning", "the policy sees the goal where hindsight replay cannot replace it"),
     Rule("DB615", "rays-meet-nothing", "warning", "a sensor whose rays meet nothing in the world", deep="too", deep_preview=True),
     Rule("DB616", "noise-without-effect", "warning", "noise on a value that the policy also observes without noise"),

@@ -33,8 +33,8 @@ from deepbots_cli.document.parse import MAX_DEPTH, MAX_EXPANDED, Budget, parse
 from deepbots_cli.errors import UsageError
 
 MAX_INCLUSION_DEPTH = 32
-TESTS = "tests"
-"""The section that `extends` does not take over."""
+TESTS, TUNE = "tests", "tune"
+"""Sections that name other parts of the scenario; `extends` does not take over the tests."""
 _MAX_LISTED = 20
 
 
@@ -321,7 +321,7 @@ def _listed(node: MappingNode) -> str:
 _KIND_KEYS = ("type", "shape", "algorithm")
 # Mappings from names that the user chose: a reward term may be called `shape`.
 _DEFINITIONS = frozenset(("parameters", "signals", "augment", "observation", "action", "reward", "success", "failure"))
-_OF_NAMES = _DEFINITIONS | frozenset(("set", "emit", "apply", "receive", "poses", "choices"))
+_OF_NAMES = _DEFINITIONS | frozenset(("set", "search", "emit", "apply", "receive", "poses", "choices"))
 
 
 def merge(base: MappingNode, over: MappingNode, name: str = "") -> MappingNode:
@@ -397,6 +397,14 @@ def _set(root: MappingNode, path: ScalarNode, value: Node | None, whole: Span, f
         return root
     changed = nodes.with_entry(root, steps, Entry(key, value))
     return changed if isinstance(changed, MappingNode) else root
+
+
+def setting_path(root: MappingNode, dotted: str) -> NodePath:
+    """The path of the value that an assignment to `dotted` replaces or adds."""
+    if dotted in entries_at(root, "parameters"):
+        return ("parameters", dotted)
+    steps, _, rest = follow_dotted(root, dotted)
+    return (*steps, *rest.split(".")) if rest else steps
 
 
 def _target(root: MappingNode, path: ScalarNode, findings: Findings) -> tuple[NodePath, list[ScalarNode]] | None:

@@ -3,10 +3,11 @@
     cartpole, cartpole.yaml, a `Scenario`    a scenario
     runs/cartpole-0-1                        a run: a folder with run.json
     runs/cartpole-seeds-1                    a group of runs: a folder with group.json
+    runs/cartpole-tune-1                     a study of `deepbots tune`, with a group for each trial: a folder with study.json
     runs/cartpole-0-1/models/agent/best.zip  a checkpoint: a model in the folder of a run
     cartpole-0-0.mcap                        a recording
 
-A run, a group and an open recording keep their scenario as `resolved.yaml` in a folder that holds all files that it reads.
+A run, a group, a study and an open recording keep their scenario as `resolved.yaml` in a folder that holds all files that it reads.
 """
 
 from __future__ import annotations
@@ -21,12 +22,13 @@ from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import Document, Permissions, load, loads, shipped
-from deepbots_cli.document.load import NO_DRAFTS, TESTS, Drafts
+from deepbots_cli.document.load import NO_DRAFTS, TESTS, TUNE, Drafts
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.scenario import Scenario
 
 RECORD_NAME = "run.json"
 GROUP_RECORD_NAME = "group.json"
+STUDY_RECORD_NAME = "study.json"
 MODELS_FOLDER = "models"
 RECORDING_SUFFIX = ".mcap"
 
@@ -37,6 +39,7 @@ class SourceKind(Enum):
     SCENARIO = "a scenario"
     RUN = "a run"
     GROUP = "a group of runs"
+    STUDY = "a study of `deepbots tune`"
     CHECKPOINT = "a model of a run"
     RECORDING = "a recording"
 
@@ -79,7 +82,9 @@ class Source:
             wanted = f"{', '.join(others)} or {final}" if others else final
             what = "a file" if found.kind is SourceKind.SCENARIO and found.path.suffix not in (".yaml", ".yml") else found.kind.value
             hint = ""
-            if SourceKind.RUN in kinds and found.kind is SourceKind.GROUP:
+            if found.kind is SourceKind.STUDY:
+                hint = f"; name one of its trials, such as {found.path}/trial-0"
+            elif SourceKind.RUN in kinds and found.kind is SourceKind.GROUP:
                 hint = f"; name one of its runs, such as {found.path}/seed-0"
             elif SourceKind.RUN in kinds and found.kind is SourceKind.CHECKPOINT:
                 hint = f"; name the run: {found.path}"
@@ -126,7 +131,7 @@ class Source:
         Args:
             overrides: Assignments `path=value`, as for `--set`.
             drafts: What to read in the place of files, by their absolute paths.
-            tests: Whether to read `tests` also with `overrides`, which may change what the tests name.
+            tests: Whether to read `tests` and `tune` also with `overrides`, which may change what these sections name.
 
         Raises:
             UsageError: The file cannot be read.
@@ -140,7 +145,7 @@ class Source:
             document = load(path, overrides, display=display, permissions=permissions, drafts=drafts, project=self.project)
         root = document.root
         if overrides and not tests and root is not None:
-            root = replace(root, entries={key: entry for key, entry in root.entries.items() if key != TESTS})
+            root = replace(root, entries={key: entry for key, entry in root.entries.items() if key not in (TESTS, TUNE)})
         return replace(document, root=root)
 
     def checked(self, *, overrides: Sequence[str] = (), drafts: Drafts = NO_DRAFTS, tests: bool = False) -> CheckedScenario:
@@ -149,8 +154,9 @@ class Source:
 
 
 def folder_kind(path: Path) -> SourceKind | None:
-    """Whether a folder is that of a run or of a group; None for any other path."""
-    for name, kind in ((GROUP_RECORD_NAME, SourceKind.GROUP), (RECORD_NAME, SourceKind.RUN)):
+    """Whether a folder is that of a run, of a group or of a study; None for any other path."""
+    names = ((GROUP_RECORD_NAME, SourceKind.GROUP), (RECORD_NAME, SourceKind.RUN), (STUDY_RECORD_NAME, SourceKind.STUDY))
+    for name, kind in names:
         if os.path.isfile(path / name):  # unlike `Path.is_file`, False for a folder that may not be entered
             return kind
     return None

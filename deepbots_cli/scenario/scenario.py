@@ -41,6 +41,7 @@ from deepbots_cli.scenario.fields import (
     WholeNumber,
     Word,
 )
+from deepbots_cli.scenario.search import SearchField
 from deepbots_cli.scenario.sensors import AnySensor
 from deepbots_cli.scenario.training import AnyTraining
 from deepbots_cli.scenario.world import AnyObject, Pose, World
@@ -294,6 +295,25 @@ class Evaluation(Section):
     """Number of episodes, for each case."""
     cases: dict[LocalName, Case] = {}
     """Further conditions under which the policy is evaluated, each under a name that you choose."""
+
+
+class Tune(Section):
+    """A search for better values, for `deepbots tune`. An option of the command replaces the key of the same name."""
+
+    search: Annotated[dict[Annotated[str, Reference("setting")], Annotated[str | Many[Any], SearchField()]], Size(1, "key")]
+    """The values to try: parameters by name, or other values by path. Each has a range, such as `0.5 .. 1.5 m`, or choices, such as
+    `64 | 128` or `[[64, 64], [10, 10]]`. Values of `1e-4 .. 1e-2 :log` are drawn by their logarithm."""
+    trials: Annotated[int, WholeNumber(1, 100_000)] = 40
+    """Number of trials. A trial trains the scenario with one set of values, once for each seed."""
+    seeds: Annotated[int, WholeNumber(1, 1000)] = 3
+    """Number of seeds of each trial, counted from 0."""
+    timesteps: Annotated[int, WholeNumber(1, 10**12)] | None = None
+    """Number of steps of each training. Default: `train.total_timesteps`."""
+    objective: Literal["solved", "success_rate", "mean_return"] | None = None
+    """What makes a trial good. `solved`: few steps until the task is solved. `success_rate`, `mean_return`: those of the evaluation of the
+    best models. Default: `solved` where the scenario has the key `solved`, else `success_rate` where it defines success."""
+    prune: Bool = True
+    """Whether a trial ends early while its evaluations are worse than the median of other trials after as many steps."""
 
 
 # Tests
@@ -553,6 +573,8 @@ class Scenario(Section):
     """When the task is solved: a minimum of `mean_return` or `success_rate` over the last episodes."""
     train: AnyTraining | None = None
     """How the policy is trained."""
+    tune: Tune | None = None
+    """A search for better values of the scenario."""
     tests: dict[LocalName, ScenarioTest] = {}
     """Tests for `deepbots test`, each under a name that you choose: who acts, and the expected result."""
 
