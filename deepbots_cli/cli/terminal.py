@@ -43,12 +43,30 @@ def print_error(text: str) -> None:
 @contextmanager
 def transient_line(text: str) -> Iterator[None]:
     """A line on stderr, on a terminal only, which disappears at the end of the block."""
-    shown = printable(text)[: width() - 1] if sys.stderr.isatty() else ""
-    print(shown, end="", file=sys.stderr, flush=True)
+    line = LiveLine()
+    line.show(text)
     try:
         yield
     finally:
-        print(f"\r{'':<{len(shown)}}\r" if shown else "", end="", file=sys.stderr, flush=True)
+        line.clear()
+
+
+class LiveLine:
+    """A line on stderr that is rewritten, at most five times a second; on a terminal only."""
+
+    def __init__(self) -> None:
+        self._length, self._shown = 0, 0.0
+
+    def show(self, text: str) -> None:
+        now = time.perf_counter()
+        if sys.stderr.isatty() and now - self._shown > _PAUSE:
+            shown = printable(text)[: width() - 1]
+            print(f"\r{shown:<{self._length}}", end="", file=sys.stderr, flush=True)
+            self._length, self._shown = len(shown), now
+
+    def clear(self) -> None:
+        print(f"\r{'':<{self._length}}\r" if self._length else "", end="", file=sys.stderr, flush=True)
+        self._length = 0
 
 
 @contextmanager

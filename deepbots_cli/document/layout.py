@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from deepbots_cli.diagnostics import Edit, Findings, Fix, Source, Span
-from deepbots_cli.document.nodes import Entry, MappingNode, Node, NodePath, ScalarNode, SequenceNode, descend, to_data
+from deepbots_cli.document.nodes import Entry, MappingNode, Node, NodePath, ScalarNode, SequenceNode, descend, node_at, to_data
 from deepbots_cli.document.parse import LOADER, parse
 
 _MAX_PASSES = 6
@@ -339,3 +339,55 @@ def _insertion(source: Source, line: str, section: Span, target: str, new: Entry
     rest = _REST_OF_LINE.match(text, max(ends))
     end = rest.end() if rest else text.find("\n", max(ends)) + 1
     return (Span(source, end, end), " " * column + line.lstrip(" ")) if end and text[end - 1] == "\n" else None
+
+
+# Setting a value
+
+
+def assigned_text(root: MappingNode, source: Source, path: NodePath, value: str, comment: str) -> str | None:
+    """The text of a file with another value at `path`, and a comment behind it on its line; everything else stays as it is.
+
+    A key that the file does not have, because it extends another one or has a default, is added to the innermost section that it has. A
+    comment that begins with the same word is replaced. None where the text does not allow it.
+    """
+    node, _, steps = descend(root, path)
+    if steps == len(path) and node.span.source is source:
+        start, end, new = node.span.start, node.span.end, value
+    else:
+        while steps and node_at(root, *path[:steps]).span.source is not source:  # type: ignore[union-attr]  # descended through it
+            steps -= 1
+        holder = node_at(root, *path[:steps])
+        keys = [_text(str(key)) for key in path[steps:]]
+        if not isinstance(holder, MappingNode):
+            return None
+        entry = f"{keys[-1]}: {value}"
+        for key in reversed(keys[steps == 0 : -1]):
+            entry = f"{key}: {{{entry}}}"
+        added = _addition(source, holder, f"{keys[0]}:\n  {entry}" if steps == 0 and len(keys) > 1 else entry)
+        if added is None:
+            return None
+        start, end, new = added
+    text = source.text[:start] + new + source.text[end:]
+    line_start, line_end = text.rfind("\n", 0, start + len(new.rstrip())) + 1, _END_OF_LINE.search(text, start + len(new.rstrip()))
+    assert line_end is not None  # it also matches the end of the text
+    line = re.sub(rf"\s+# {re.escape(comment.split()[0])} [^\n]*", "", text[line_start : line_end.start()])
+    return f"{text[:line_start]}{line}  # {comment}{text[line_end.start() :]}"
+
+
+_END_OF_LINE = re.compile(r"\r?\n|$|\r?\Z")
+
+
+def _addition(source: Source, holder: MappingNode, entry: str) -> tuple[int, int, str] | None:
+    """Where an entry is put into a mapping of a file, and how: behind its last entry."""
+    own = [each for each in holder.entries.values() if each.key.span.source is source]
+    ends = [max(each.key.span.end, each.value.span.end if each.value.span.source is source else 0) for each in own]
+    if holder.span.text.startswith("{"):
+        at = max(ends, default=holder.span.start + 1)
+        return at, at, f", {entry}" if ends else entry
+    if not ends:
+        return None
+    column = min(source.position(each.key.span.start).column for each in own) - 1
+    rest = _REST_OF_LINE.match(source.text, max(ends))
+    at = rest.end() if rest else source.text.find("\n", max(ends)) + 1 or len(source.text)
+    before = "" if source.text[at - 1 : at] == "\n" else "\n"
+    return at, at, before + "\n".join(" " * column + line for line in entry.split("\n")) + "\n"

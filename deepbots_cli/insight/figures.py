@@ -42,7 +42,8 @@ _WIDTH, _WIDE_WIDTH = 5.0, 8.0  # inches
 _MIN_CLIMB = 0.25  # of its longer side; a trajectory that climbs more is also drawn from the side
 
 
-def _figure(theme: str, height: float, columns: int = 1, rows: int = 1, width: float = _WIDTH) -> tuple[Figure, Any]:
+def new_figure(theme: str, height: float, columns: int = 1, rows: int = 1, width: float = _WIDTH) -> tuple[Figure, Any]:
+    """A figure with rows of panels for a light or a dark background; sizes in inches."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained", facecolor=THEMES[theme][0])
@@ -57,7 +58,7 @@ def _with_legend(figure: Figure, height: float) -> Figure:
 
 def returns(logs: Sequence[TrainingLog], theme: str) -> Figure:
     """Returns of training episodes, the mean over seeds with a band from the lowest to the highest, and evaluations."""
-    figure, ((panel,),) = _figure(theme, 2.9)
+    figure, ((panel,),) = new_figure(theme, 2.9)
     label = "training episodes" if len(logs) == 1 else f"training episodes, mean of {len(logs)} seeds"
     plot_band(panel, [log.returns for log in logs if log.returns is not None], {"color": COLORS[0], "label": label})
     plot_evaluations(panel, logs, COLORS[1], "evaluations during the training")
@@ -71,7 +72,7 @@ def successes(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     curves = [log.successes for log in logs if log.successes is not None]
     if not curves:
         return None
-    figure, ((panel,),) = _figure(theme, 2.9)
+    figure, ((panel,),) = new_figure(theme, 2.9)
     plot_band(panel, curves, {"color": COLORS[2], "label": "success rate"})
     for log in logs:
         plot_evaluation(None, panel, log, COLORS[1])
@@ -91,7 +92,7 @@ def shares(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     at = np.union1d(at, np.concatenate([steps[np.isnan(values)] for steps, values in curves]))  # where a stage begins
     known = [[log.terms[term] for log in logs if term in log.terms] for term in terms]
     sizes = np.array([np.mean([np.interp(at, steps, np.abs(values)) for steps, values in each], axis=0) for each in known])
-    figure, ((panel,),) = _figure(theme, 2.9)
+    figure, ((panel,),) = new_figure(theme, 2.9)
     colors = [styles[term]["color"] for term in terms]
     panel.stackplot(at, sizes / np.maximum(sizes.sum(axis=0), 1e-12), labels=terms, colors=colors, alpha=0.85, linewidth=0)
     panel.set_ylim(0, 1)
@@ -102,7 +103,7 @@ def endings(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     """How training episodes end, as shares over time."""
     if not any(log.endings for log in logs):
         return None
-    figure, ((panel,),) = _figure(theme, 2.9)
+    figure, ((panel,),) = new_figure(theme, 2.9)
     plot_endings(panel, logs, ending_colors(logs))
     return _with_legend(figure, style_panel(panel, "fraction of training episodes by ending", theme, stages=[logs]))
 
@@ -116,7 +117,7 @@ def starts(episodes: Sequence[Episode], theme: str, *, success_defined: bool) ->
         return None
     columns = min(2, len(names))
     rows = math.ceil(len(names) / columns)
-    figure, panels = _figure(theme, 0.4 + 2.3 * rows, columns, rows, _WIDE_WIDTH)
+    figure, panels = new_figure(theme, 0.4 + 2.3 * rows, columns, rows, _WIDE_WIDTH)
     for panel, name in zip(panels.flat, names, strict=False):
         drawn = [episode for episode in episodes if name in episode.drawn]
         words = sorted({str(episode.drawn[name]) for episode in drawn}) if isinstance(drawn[0].drawn[name], str) else []
@@ -154,7 +155,7 @@ def trajectories(
     limits = [_limits(np.concatenate(tracks + targets), plane, world) for plane in planes]
     width = (_WIDE_WIDTH - 1.0) / len(planes)
     height = max(width * (high[1] - low[1]) / (high[0] - low[0]) for low, high in limits)
-    figure, (panels,) = _figure(theme, min(6.0, max(1.8, 1.3 + height)), columns=len(planes), width=_WIDE_WIDTH)
+    figure, (panels,) = new_figure(theme, min(6.0, max(1.8, 1.3 + height)), columns=len(planes), width=_WIDE_WIDTH)
     ground, text, grid = THEMES[theme]
     for panel, plane, (low, high) in zip(panels, planes, limits, strict=True):
         if plane == (0, 1):

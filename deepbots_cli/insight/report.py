@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import io
 import platform
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -275,14 +275,7 @@ class Report:
         Raises:
             UsageError: A file cannot be written.
         """
-        written = []
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, _, figure in self.figures("light"):
-            if figure is not None:
-                written.append(folder / f"{name}.png")
-                with atomic_write(written[-1]) as draft:
-                    figure.savefig(draft, dpi=150)
-        return written
+        return write_figure_files(folder, ((name, figure) for name, _, figure in self.figures("light") if figure is not None))
 
     # The page
 
@@ -290,7 +283,7 @@ class Report:
         """The page."""
         dark = {name: figure for name, _, figure in self.figures("dark")}
         drawn = [
-            {"name": name, "caption": caption, "light": _svg(figure), "dark": _svg(dark[name])}
+            {"name": name, "caption": caption, "light": svg_uri(figure), "dark": svg_uri(dark[name])}
             for name, caption, figure in self.figures("light")
             if figure is not None
         ]
@@ -326,7 +319,23 @@ def _standing(player: Player, shown: Sequence[ReportEpisode]) -> list[list[Tripl
     return found
 
 
-def _svg(figure: Any) -> str:
+def write_figure_files(folder: Path, figures: Iterable[tuple[str, Figure]]) -> list[Path]:
+    """Figures by their names as PNG.
+
+    Raises:
+        UsageError: A file cannot be written.
+    """
+    written = []
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, figure in figures:
+        written.append(folder / f"{name}.png")
+        with atomic_write(written[-1]) as draft:
+            figure.savefig(draft, dpi=150)
+    return written
+
+
+def svg_uri(figure: Any) -> str:
+    """A figure as SVG in a data URI."""
     import matplotlib
 
     stream = io.BytesIO()

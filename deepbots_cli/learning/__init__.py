@@ -16,7 +16,9 @@ scenario_tests.py  the tests of a scenario
 episodes.py      what episodes leave behind: log, statistics, solved, summaries with intervals
 group.py         groups: a folder with a run per seed, trained one after the other or on workers
 spread.py        calls of a function with several items: in this process, or on workers
-listing.py       what is known of runs and groups from their files, also while they train
+study.py         studies: searches over values of a scenario, a group for each trial
+trials.py        which trial a process takes, how it is trained, scored and pruned
+listing.py       what is known of runs, groups and studies from their files, also while they train
 comparison.py    compare: groups of runs on the same starts; a group as one
 robustness.py    a policy under changed conditions
 statistics.py    intervals, gates that may stop early, comparisons of groups of runs

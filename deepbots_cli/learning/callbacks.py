@@ -10,8 +10,9 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from shlex import quote
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -138,6 +139,10 @@ class Evaluator:
         self._world = self._batch = None
 
 
+OnEvaluation = Callable[[Path], str | None]
+"""Called after each evaluation of a training with the run directory; returns the name of who stops the training, None to go on."""
+
+
 class ModelRank(NamedTuple):
     """What makes a model the best: its evaluation has confirmed a solved task, it meets what `solved` asks, the mean return there."""
 
@@ -165,7 +170,14 @@ class TrainingCallback:
     """
 
     def __init__(
-        self, run: Run, statistics: Statistics, curriculum: Curriculum, evaluator: Evaluator, reporter: Reporter, total: int
+        self,
+        run: Run,
+        statistics: Statistics,
+        curriculum: Curriculum,
+        evaluator: Evaluator,
+        reporter: Reporter,
+        total: int,
+        on_evaluation: OnEvaluation | None = None,
     ) -> None:
         self.run = run
         self.statistics = statistics
@@ -177,7 +189,10 @@ class TrainingCallback:
         self.best: ModelRank | None = None
         self.confirmed = False
         """Whether the task was solved and an evaluation since then has shown that the networks of that moment solve it."""
+        self.stopped_by: str | None = None
+        """Who stopped the training after an evaluation."""
         self.defines_success = run.program.defines_success
+        self._on_evaluation = on_evaluation
         self._until_solved = run.record.stop_when_solved
         self._solved_seen = False
         self._evaluated_at = -1
@@ -246,7 +261,7 @@ class TrainingCallback:
         if self.interruption.requested and not self._stop_noted:
             self._stop_noted = True
             self.reporter.note(f"stopping after this rollout; continue with: deepbots train --resume {quote(str(self.run.path))}")
-        return not (solved and self.confirmed)
+        return not (solved and self.confirmed) and self.stopped_by is None
 
     def on_collected(self) -> None:
         if self._check_passed:  # always False between two rollouts of a checkpoint, which therefore does not keep it
@@ -277,6 +292,8 @@ class TrainingCallback:
             self.learner.save(self.run.model("best"))
         self._log(done, summary, is_best=rank == self.best)
         self._evaluations += 1
+        if self._on_evaluation is not None:
+            self.stopped_by = self._on_evaluation(self.run.path)
         self._report()
         if self.curriculum.add_evaluation(summary.mean_return, summary.success_rate, steps, self.statistics.episodes):
             self.begin_stage()

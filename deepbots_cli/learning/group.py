@@ -47,7 +47,7 @@ from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, CallOptions, Sprea
 from deepbots_cli.rollout.source import GROUP_RECORD_NAME, Source, SourceKind, folder_kind
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.callbacks import Interruption
+    from deepbots_cli.learning.callbacks import Interruption, OnEvaluation
     from deepbots_cli.learning.environments import WorldFactory
 
 FORMAT = 1
@@ -153,7 +153,8 @@ class GroupTraining:
 
 
 OnSeed = Callable[[int, int, int], object]
-"""Called before the training of a seed in this process, with the seed, its number from 1, and the number of all seeds."""
+"""Called before the training of a seed in this process, with the seed, its number from 1, and the number of all seeds; returns False to end
+the group."""
 
 
 def train_group(
@@ -164,6 +165,7 @@ def train_group(
     runs: str | Path = "runs",
     progress: bool | Reporter = False,
     on_seed: OnSeed | None = None,
+    on_evaluation: OnEvaluation | None = None,
     build: WorldFactory | None = None,
     spread: Spread = ONE_BY_ONE,
     **options: Unpack[TrainingOptions],
@@ -177,7 +179,8 @@ def train_group(
         seeds: The root seeds, each once.
         group: The folder to make; by default `runs/<scenario>-seeds-<n>`.
         progress: Whether to report progress on standard error, or your own `Reporter`; on workers it is a table of all trainings.
-        on_seed: Is called before each training in this process.
+        on_seed: Is called before each training in this process; where it returns False, the group ends.
+        on_evaluation: As for `train`, for each training in this process.
         spread: Where the trainings run; the result does not depend on it. By default they run in this process, one after the other.
         options: Those of `train`; the arguments `runs` and `build` are as there, too.
 
@@ -209,7 +212,7 @@ def train_group(
         with run_lock(path):
             write_copies(path, compiled.resolved, compiled.inputs)
             made.write()
-            return _train_seeds(made, compiled, {}, on_seed, progress, build, spread)
+            return _train_seeds(made, compiled, {}, on_seed, progress, build, spread, on_evaluation)
     except (DeepbotsError, KeyboardInterrupt):
         if not made.runs:  # nothing can be trained with these settings, or written there
             shutil.rmtree(path, ignore_errors=True)
@@ -226,6 +229,7 @@ def resume_group(
     progress: bool | Reporter = False,
     permissions: Permissions = Permissions(),
     on_seed: OnSeed | None = None,
+    on_evaluation: OnEvaluation | None = None,
     build: WorldFactory | None = None,
     spread: Spread = ONE_BY_ONE,
 ) -> GroupTraining:
@@ -250,7 +254,7 @@ def resume_group(
         compiled = api.compile(Source.open(known.path))
         compiled = replace(compiled, source=Path(known.record.source), permissions=permissions)
         changes = followers | {name: value for name, value in given.items() if value is not None}
-        return _train_seeds(known, compiled, changes, on_seed, progress, build, spread)
+        return _train_seeds(known, compiled, changes, on_seed, progress, build, spread, on_evaluation)
 
 
 def _train_seeds(
@@ -261,6 +265,7 @@ def _train_seeds(
     progress: bool | Reporter,
     build: WorldFactory | None,
     spread: Spread,
+    on_evaluation: OnEvaluation | None,
 ) -> GroupTraining:
     """Train or continue every seed that is not finished, with `changes` of the options that the group began with."""
     from deepbots_cli.learning.callbacks import Interruption, signals_handled  # which imports torch
@@ -275,11 +280,11 @@ def _train_seeds(
         on_workers: CallOptions = {}
         if spread.is_here:
             begins = [None if on_seed is None else partial(on_seed, seed, number, len(seeds)) for number, seed in enumerate(seeds, 1)]
-            own = {"progress": progress, "build": build}
+            own = {"progress": progress, "build": build, "on_evaluation": on_evaluation}
             items = [replace(item, own=own, begin=begins[seeds.index(item.seed)]) for item in items]
         else:
-            if build is not None or isinstance(progress, Reporter):
-                raise UsageError("`build` and your own reporter work in this process only; leave out the workers")
+            if build is not None or on_evaluation is not None or isinstance(progress, Reporter):
+                raise UsageError("`build`, `on_evaluation` and your own reporter work in this process only; leave out the workers")
             interruption = Interruption()
             reporter = GroupProgressReporter(group.path, left) if progress else GroupReporter()
             stack.callback(reporter.close)
@@ -297,6 +302,8 @@ def _train_seeds(
                     trained.append(outcome)
                     if spread.is_here and outcome.stop_requested:
                         break
+                elif spread.is_here:
+                    break
     done = {result.run for result in trained if not result.interrupted}
     waiting = tuple(seed for seed in left if seed not in failed and group.run(seed) not in done)
     return GroupTraining(group.path, tuple(trained), skipped, failed, waiting)
@@ -340,12 +347,12 @@ def _is_complete(run: Path, changes: Mapping[str, Any]) -> bool:
     return goal is None or (record.result is not None and record.result.steps >= goal)
 
 
-def _train_seed(item: _SeedTraining, attempt: Attempt) -> TrainingResult:
-    """Train a seed, or continue its run, which may have been begun by a worker that was lost."""
+def _train_seed(item: _SeedTraining, attempt: Attempt) -> TrainingResult | None:
+    """Train a seed, or continue its run, which may have been begun by a worker that was lost; None if the group ends before."""
     from deepbots_cli.learning.training import resume, train  # which imports torch
 
-    if item.begin is not None:
-        item.begin()
+    if item.begin is not None and item.begin() is False:
+        return None
     own = {"progress": _AttemptReporter(attempt)} if item.own is None else item.own
     if attempt.number > 1:
         deadline = time.monotonic() + _LOCK_TIMEOUT_S

@@ -1,4 +1,7 @@
-"""What is known of runs and groups from their own files alone, also while they train. Nothing is compiled, and torch is not imported."""
+"""What is known of runs, groups and studies from their files alone, also while they train.
+
+Nothing is compiled, and torch is not imported.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +24,7 @@ from deepbots_cli.learning.run import (
     is_training,
     numbered_files,
 )
+from deepbots_cli.learning.study import Study
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
 
@@ -32,9 +36,10 @@ _MAX_STATE_BYTES = 100_000_000
 
 @dataclass(frozen=True)
 class ListedRun:
-    """A run or a group, from its files.
+    """A run, a group or a study, from its files.
 
-    Of a group, `mean_return` and `success_rate` are means over the runs that have one, `steps` and `cpu_seconds` are sums, and `runs` are
+    Of a study, `runs` are the groups of its trials, and `planned` is the number of trials in all; it has no score. Of a group,
+    `mean_return` and `success_rate` are means over the runs that have one, `steps` and `cpu_seconds` are sums, and `runs` are
     its members. `score` says what the return and the success rate are of. `evaluation`: the quoted evaluation (`quoted_evaluation`) of
     `evaluated_episodes` episodes; `remarks` say how it differs from a usual one. `training`: the recent episodes of the training, in
     which the policy explores.
@@ -66,22 +71,25 @@ class ListedRun:
     updated: str = ""
     problem: str | None = None
     runs: tuple[ListedRun, ...] = ()
+    planned: int | None = None
 
 
 def list_runs(folder: Path) -> list[ListedRun]:
-    """The runs and groups in a folder, the one that changed last at the end; those of a group in the order of their seeds."""
+    """The runs, groups and studies in a folder, the one that changed last at the end; those of a group in the order of their seeds, those
+    of a study in the order of its trials."""
     if not folder.is_dir():
         return []
-    if folder_kind(folder) is SourceKind.GROUP:
-        return list(_listed_group(folder).runs)
+    if folder_kind(folder) in (SourceKind.GROUP, SourceKind.STUDY):
+        return list(read_listed(folder).runs)
     found = [path for path in folder.iterdir() if folder_kind(path) is not None]
     return sorted((read_listed(path) for path in found), key=lambda run: (run.updated, run.path.name))
 
 
 def read_listed(path: Path) -> ListedRun:
-    """A run or a group; files that cannot be read are its `problem`."""
+    """A run, a group or a study; files that cannot be read are its `problem`."""
+    read = {SourceKind.GROUP: _listed_group, SourceKind.STUDY: _listed_study}.get(folder_kind(path) or SourceKind.RUN, _listed_run)
     try:
-        return _listed_group(path) if folder_kind(path) is SourceKind.GROUP else _listed_run(path)
+        return read(path)
     except DeepbotsError as error:
         return ListedRun(path, "unreadable", problem=str(error))
 
@@ -163,6 +171,28 @@ def _listed_group(path: Path) -> ListedRun:
         cpu_seconds=sum(costs) if costs else None,
         updated=max((run.updated for run in readable), default=group.record.started),
         runs=runs,
+    )
+
+
+def _listed_study(path: Path) -> ListedRun:
+    study = Study.open(path)
+    trials = tuple(map(read_listed, study.groups))
+    costs = [trial.cpu_seconds for trial in trials if trial.cpu_seconds is not None]
+    state: State = "finished" if len(trials) >= study.record.trials else "interrupted"
+    return ListedRun(
+        path,
+        "training" if any(trial.state == "training" for trial in trials) else state,
+        scenario=study.record.scenario,
+        source=study.record.source,
+        settings=study.record.set,
+        engine=study.record.engine,
+        seeds=study.record.seeds,
+        steps=sum(trial.steps or 0 for trial in trials),
+        episodes=sum(trial.episodes or 0 for trial in trials),
+        cpu_seconds=sum(costs) if costs else None,
+        updated=max((trial.updated for trial in trials), default=study.record.started),
+        runs=trials,
+        planned=study.record.trials,
     )
 
 

@@ -72,7 +72,7 @@ class RunResult(BaseModel):
         best_return: Mean return of the best model in its evaluation; None if there were too few episodes for an evaluation.
         evaluation_steps: Steps of all evaluations during the training.
         stage: The stage of the curriculum in which the training ended; `stages` are the stages before it.
-        stopped_by: Name of the callback that stopped the training.
+        stopped_by: Name of the callback that stopped the training; `tune` where a study ended a trial.
         inexact: Reasons why a resumed training differs from one without interruption.
     """
 
@@ -475,19 +475,21 @@ def write_record(folder: Path, record: RunRecord) -> None:
 
 
 @contextmanager
-def run_lock(folder: Path) -> Iterator[None]:
+def run_lock(folder: Path, name: str = ".lock", wait_s: float = 0.0) -> Iterator[None]:
     """Within, nobody else trains in the run directory `folder`. The lock ends with the process, however that ends.
+
+    `name` is that of another lock in the folder, `wait_s` how long to wait for it.
 
     Raises:
         UsageError: Another training is at work there, or the directory cannot be written to.
     """
     from filelock import FileLock, Timeout  # of the extra `train`
 
-    path = folder / ".lock"
+    path = folder / name
     if path.is_symlink():
         raise RunError(f"{path} is a symbolic link; deepbots does not write symbolic links into a run")
     try:
-        lock = FileLock(path, timeout=0).acquire()
+        lock = FileLock(path, timeout=wait_s).acquire()
     except Timeout:
         raise UsageError(f"another process is training in {folder}; wait until it finishes, or stop it") from None
     except OSError as error:
@@ -559,10 +561,10 @@ def timestamp() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def versions() -> dict[str, str]:
-    """Of Python and of what a training result depends on."""
+def versions(*further: str) -> dict[str, str]:
+    """Of Python, of what a training result depends on, and of further packages."""
     found = {"python": platform.python_version()}
-    for name in _VERSIONED_PACKAGES:
+    for name in (*_VERSIONED_PACKAGES, *further):
         try:
             found[name] = version(name)
         except PackageNotFoundError:

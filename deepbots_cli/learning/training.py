@@ -23,7 +23,7 @@ from deepbots_cli.errors import DeepbotsError, MissingExtraError, PluginError, R
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning import learner as learners
 from deepbots_cli.learning import shards
-from deepbots_cli.learning.callbacks import UNLIMITED_SHARE, Evaluator, TrainingCallback, check_finite, signals_handled
+from deepbots_cli.learning.callbacks import UNLIMITED_SHARE, Evaluator, OnEvaluation, TrainingCallback, check_finite, signals_handled
 from deepbots_cli.learning.checkpoint_files import damage_explained, latest_checkpoint
 from deepbots_cli.learning.checkpoints import Checkpoints
 from deepbots_cli.learning.curriculum import Curriculum
@@ -77,6 +77,7 @@ def train(
     build: WorldFactory | None = None,
     placement: Placement = THIS_PROCESS,
     on_start: Callable[[Path], object] = lambda run: None,
+    on_evaluation: OnEvaluation | None = None,
 ) -> TrainingResult:
     """Train the policy of a scenario in a new run directory.
 
@@ -102,6 +103,8 @@ def train(
         build: Function that makes a world of the scenario, in place of the generated supervisor.
         placement: Where the shards of the training run; the result does not depend on it.
         on_start: Called with the run directory once it exists.
+        on_evaluation: Called with the run directory after each evaluation during the training. It returns None to go on, or the name of who
+            stops the training, which becomes `stopped_by` of the result.
 
     Raises:
         UsageError: The directory exists, a stage, callback or logger does not exist, or the settings are invalid for training.
@@ -154,7 +157,8 @@ def train(
         if source is not None:
             shutil.copyfile(source.model("best"), new.model("initial"))
         on_start(path)
-        return run_training(new, training, Checkpoints(new, learners.class_of(training).State), build, reporter(progress), placement)
+        checkpoints = Checkpoints(new, learners.class_of(training).State)
+        return run_training(new, training, checkpoints, build, reporter(progress), placement, on_evaluation=on_evaluation)
 
 
 def resume(
@@ -168,6 +172,7 @@ def resume(
     permissions: Permissions = Permissions(),
     build: WorldFactory | None = None,
     placement: Placement = THIS_PROCESS,
+    on_evaluation: OnEvaluation | None = None,
 ) -> TrainingResult:
     """Continue a run from its last checkpoint, in the same directory.
 
@@ -226,7 +231,7 @@ def resume(
         }
         known.record = record.model_copy(update=changes)  # written once the checkpoint is restored
         build = build or supervisor_factory(record.engine, permissions=permissions)
-        return run_training(known, training, checkpoints, build, reporter(progress), placement, before=record)
+        return run_training(known, training, checkpoints, build, reporter(progress), placement, before=record, on_evaluation=on_evaluation)
 
 
 def _training_of(program: Program, total_timesteps: int | None, callbacks: Sequence[str] = ()) -> Training:
@@ -283,6 +288,7 @@ def run_training(
     reporter: Reporter,
     placement: Placement,
     before: RunRecord | None = None,
+    on_evaluation: OnEvaluation | None = None,
 ) -> TrainingResult:
     """One process's share in a run, from its last checkpoint to the goal.
 
@@ -300,7 +306,8 @@ def run_training(
     if before is not None:
         checkpoints.on_restored.append(run.update)
     statistics.final = curriculum.is_last
-    callback = TrainingCallback(run, statistics, curriculum, Evaluator(build, run.record.seed, run), reporter, training.total_timesteps)
+    evaluator = Evaluator(build, run.record.seed, run)
+    callback = TrainingCallback(run, statistics, curriculum, evaluator, reporter, training.total_timesteps, on_evaluation)
     if checkpoints.state is not None:
         callback.restore(checkpoints.state.callback)
     status: Status = "failed"
@@ -360,7 +367,7 @@ def run_training(
             weights_digest=digest,
             stage=curriculum.name,
             stages=tuple(curriculum.completed),
-            stopped_by=next((follower.name for follower in followers if follower.stopped), None),
+            stopped_by=callback.stopped_by or next((follower.name for follower in followers if follower.stopped), None),
             inexact=tuple(checkpoints.inexact),
         )
         with suppress(RunError) if status == "failed" else nullcontext():  # a full disk was told already

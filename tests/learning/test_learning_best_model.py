@@ -62,13 +62,13 @@ class Builder:
         return sum(seed == EVALUATION_SEEDS[0] for world in self.worlds for seed in world.seeds)
 
 
-def learned(folder: Path, build: Any = stand_in.build, total: int = 800, solved: Solved = EASY) -> TrainingResult:
+def learned(folder: Path, build: Any = stand_in.build, total: int = 800, solved: Solved = EASY, **options: Any) -> TrainingResult:
     figures = {"n_steps": 32, "batch_size": 32, "n_epochs": 1}
     hyperparameters = tuple(Hyperparameter(name, figure) for name, figure in figures.items())
     task = stand_in.compiled(
         training=Training("PPO", total, environments=2, hyperparameters=hyperparameters), solved=solved, success=True, max_steps=50
     )
-    return train(task, runs=folder, build=build)
+    return train(task, runs=folder, build=build, **options)
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +92,13 @@ def test_a_training_ends_at_the_first_evaluation_that_solves_the_task(tmp_path: 
     assert build.tried == 3
     assert result.best_return is not None
     assert result.best_return >= 5.0
+
+
+def test_a_training_ends_after_the_evaluation_at_which_it_is_stopped(tmp_path: Path) -> None:
+    build = Builder(lambda number: 0.0)
+    result = learned(tmp_path, build, on_evaluation=lambda run: "somebody" if run.parent == tmp_path else None)
+    assert (result.status, result.stopped_by, build.tried) == ("finished", "somebody", 1)
+    assert result.steps < 1_500
 
 
 @pytest.mark.slow

@@ -24,6 +24,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
     "Train": {
         "train": ("train.command", "Train a policy in a new run directory, and evaluate it."),
+        "tune": ("tune.command", "Search for better values of a scenario."),
         "eval": ("eval.command", "Evaluate the policy of a run on held-out episodes."),
         "runs": ("runs.command", "List your trainings, with their results."),
         "compare": ("compare.command", "Compare trained policies on the same start states."),

@@ -1,4 +1,4 @@
-"""`deepbots report`: a run or a group as one HTML file."""
+"""`deepbots report`: a run, a group or a study as one HTML file."""
 
 from __future__ import annotations
 
@@ -12,10 +12,13 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, Force, Json, integer, option
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 
 def command(
-    run: Annotated[Path, typer.Argument(metavar="RUN|GROUP", help="A run directory of `deepbots train`, or the folder of a group.")],
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN|GROUP|STUDY", help="A run directory of `deepbots train`, or the folder of a group or a study.")
+    ],
     out: Annotated[Path | None, option("--output -o FILE", "File to write; by default RUN.html in the current folder.")] = None,
     force: Force = False,
     figures: Annotated[Path | None, option("--figures FOLDER", "Also write every figure as PNG.")] = None,
@@ -34,8 +37,12 @@ def command(
     The results come from an evaluation of the best model; if there are several evaluations, from the one with the most episodes.
     `deepbots eval RUN --episodes N` adds an evaluation. Clips need an engine that can draw; --no-clips leaves them out.
 
+    The report of a study of `deepbots tune` shows the history of its trials, which values matter, with intervals over the seeds, and the
+    score against each value. A table lists all trials.
+
     \b
       deepbots report runs/cartpole-0-1
+      deepbots report runs/cartpole-tune-1
       deepbots report runs/cartpole-seeds-1 -o report.html --figures figures
       deepbots report runs/quadruped-0-1 --no-clips --episodes 30
 
@@ -53,15 +60,20 @@ def command(
         import matplotlib  # noqa: F401
     except ModuleNotFoundError as error:
         raise MissingExtraError("view", "a report") from error
-    from deepbots_cli.insight.report import FIGURE_NAMES, Report
+    from deepbots_cli.insight import report as of_runs
+    from deepbots_cli.insight import study as of_studies
 
+    is_study = folder_kind(run) is SourceKind.STUDY
     if figures is not None and figures.is_dir():
-        check_output(*(figures / f"{name}.png" for name in FIGURE_NAMES), force=force)
-    permissions = Permissions(code=allow_code)
+        names = of_studies.FIGURE_NAMES if is_study else of_runs.FIGURE_NAMES
+        check_output(*(figures / f"{name}.png" for name in names), force=force)
+    report: of_runs.Report | of_studies.StudyReport
     with terminal.transient_line("reading the run ..."):
-        report = Report.read(run)
-    with terminal.progress("episodes") as show:
-        report.repeat_episodes(report.choose_episodes(episodes), show or (lambda done, of: None), clips=clips, permissions=permissions)
+        report = of_studies.StudyReport.read(run) if is_study else of_runs.Report.read(run)
+    if isinstance(report, of_runs.Report):
+        shown, permissions = report.choose_episodes(episodes), Permissions(code=allow_code)
+        with terminal.progress("episodes") as show:
+            report.repeat_episodes(shown, show or (lambda done, of: None), clips=clips, permissions=permissions)
     with terminal.transient_line("drawing ..."):
         with atomic_write(target) as draft:
             draft.write_text(report.html(), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""`deepbots runs`: the table of runs and groups, and of the evaluations that a run keeps."""
+"""`deepbots runs`: the table of runs, groups and studies, and of the evaluations that a run keeps."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class Sort(StrEnum):
 
 
 def command(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder of runs, a group, or a run; by default `runs`.")] = Path(
-        "runs"
-    ),
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="A folder of runs, a study, a group, or a run; by default `runs`.")
+    ] = Path("runs"),
     scenario: Annotated[str | None, option("--scenario NAME", "Only runs of this scenario, or of one whose name contains NAME.")] = None,
     solved: Annotated[bool, option("--solved", "Only runs that solve their task.")] = False,
     live: Annotated[bool, option("--live", "Only runs that are training now.")] = False,
@@ -41,7 +41,8 @@ def command(
     """List your trainings, with their results.
 
     The list is read from the files of the runs, also while they train. A group is one row, with the means over its seeds;
-    `deepbots runs GROUP` lists its runs, and `deepbots runs RUN` the evaluations that a run keeps.
+    `deepbots runs GROUP` lists its runs, and `deepbots runs RUN` the evaluations that a run keeps. A study of `deepbots tune` is one row
+    too; `deepbots runs STUDY` lists its trials, with their values under `set`.
 
     The return and the success rate come from an evaluation of the best model on held-out episodes; if there are several evaluations, from
     the one with the most episodes. Until the first evaluation, they come from the most recent training episodes, in which the policy
@@ -74,7 +75,8 @@ def command(
         for run in found:
             files.setdefault(run.scenario, set()).add(run.source)
         rows = [_row(run, with_file=len(files[run.scenario]) > 1) for run in found]
-        terminal.print_result(f"{'group' if folder_kind(folder) is SourceKind.GROUP else 'runs in'} {folder}\n" + table(rows))
+        words = {SourceKind.GROUP: "group", SourceKind.STUDY: "study"}.get(folder_kind(folder) or SourceKind.RUN, "runs in")
+        terminal.print_result(f"{words} {folder}\n" + table(rows))
         for run in found:
             if run.problem is not None:
                 terminal.note(f"{run.path.name}: {run.problem}")
@@ -94,7 +96,9 @@ def _row(run: ListedRun, *, with_file: bool = False) -> Row:
     """A row of the table; `with_file` where scenarios of several files have the same name."""
     finished = sum(inner.state == "finished" for inner in run.runs)
     state: str = run.state
-    if run.runs and state != "finished":
+    if run.planned is not None:
+        state += f", {len(run.runs)} of {run.planned} trials"
+    elif run.runs and state != "finished":
         state += f", {finished} of {len(run.seeds)} done"
     elif state == "training" and run.total_timesteps:
         state += f" {(run.steps or 0) / run.total_timesteps:.0%}"

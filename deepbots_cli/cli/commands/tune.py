@@ -1,0 +1,344 @@
+"""`deepbots tune`: a study, its progress and its table, and its best values in a file."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from shlex import quote
+from statistics import fmean
+from typing import Annotated, Any, get_args
+
+import typer
+
+from deepbots_cli import api
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.command import (
+    ADVANCED,
+    MAX_SEED,
+    MAX_SEEDS,
+    OUTPUT,
+    Engine,
+    Json,
+    Overrides,
+    integer,
+    option,
+    seed_list,
+    whole_number,
+)
+from deepbots_cli.cli.exits import INTERRUPTED
+from deepbots_cli.cli.records import interval_text
+from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.compiler import CheckedScenario
+from deepbots_cli.document import Permissions, files, shipped, to_data
+from deepbots_cli.document.layout import assigned_text
+from deepbots_cli.document.load import setting_path
+from deepbots_cli.engine_kinds import with_engine
+from deepbots_cli.errors import UsageError
+from deepbots_cli.files import atomic_write
+from deepbots_cli.learning.report import TrainingProgress
+from deepbots_cli.learning.study import Objective, Study, StudyReporter, StudyTrial, create_study
+from deepbots_cli.learning.trials import run_study
+from deepbots_cli.rollout.source import Source, SourceKind
+
+_MAX_SHOWN = 10
+"""Trials in the table; --json has all."""
+
+
+def command(
+    scenario: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="SCENARIO",
+            help="A scenario file, or the name of a scenario that comes with deepbots; with --apply, the file to change.",
+        ),
+    ] = None,
+    params: Annotated[
+        list[str] | None,
+        option(
+            "--param PATH=VALUES",
+            "Values to try, such as train.learning_rate=1e-4..1e-2:log, parameters.pole_length=0.5..1.5m or train.batch_size='64 | 128';"
+            " may be repeated. By default those of `tune.search`.",
+        ),
+    ] = None,
+    overrides: Overrides = None,
+    trials: Annotated[int | None, integer("--trials N", "Number of trials in all; by default `tune.trials`, else 40.", 1, 100_000)] = None,
+    seeds: Annotated[
+        str | None, option("--seeds N|LIST", "Number of seeds of each trial, or a list such as 0..4; by default `tune.seeds`, else 3.")
+    ] = None,
+    timesteps: Annotated[
+        int | None,
+        integer("--timesteps N", "Timesteps of each training, such as 50k; by default `tune.timesteps`, else `train.total_timesteps`."),
+    ] = None,
+    objective: Annotated[
+        str | None,
+        option(
+            "--objective NAME",
+            "What makes a trial good: `solved` (few timesteps until the task is solved), `success_rate` or `mean_return` (of an evaluation"
+            " of the best models). By default the first of them that the scenario defines.",
+        ),
+    ] = None,
+    seed: Annotated[int, integer("--seed N", "Seed of the search; 0 by default.", 0, MAX_SEED)] = 0,
+    run: Annotated[Path | None, option("--run DIR", "Directory to create for the study; by default a new one in ./runs.")] = None,
+    resume: Annotated[Path | None, option("--resume STUDY", "Continue this study, also while other processes work on it.")] = None,
+    apply: Annotated[bool, option("--apply", "With --resume, write the best values into the scenario file and run no trial.")] = False,
+    prune: Annotated[bool | None, option("--prune/--no-prune", "End trials early that are worse than the median.", ADVANCED)] = None,
+    engine: Engine = None,
+    quiet: Annotated[bool, option("--quiet -q", "Print no progress.", OUTPUT)] = False,
+    as_json: Json = False,
+    permissions: Permissions = Permissions(),
+) -> None:
+    """Search for better values of a scenario: hyperparameters, or parameters of the task.
+
+    A trial trains the scenario with one set of values, once for each seed, and evaluates the best models. The values of the next trial
+    follow from the scores so far (TPE, by Optuna). The first trial has the values of the scenario itself, where they are in the ranges.
+    A trial whose evaluations during the training are worse than the median of other trials ends early.
+
+    Values are a range, `1e-4..1e-2` or `0.5..1.5m`, or choices, `64 | 128` or `[[64, 64], [10, 10]]`. `:log` behind a range draws values by
+    their logarithm. A key that takes whole numbers gets whole numbers. The section `tune` of the scenario has the same settings.
+
+    \b
+      deepbots tune cartpole --param train.learning_rate=1e-4..1e-2:log --trials 20 --seeds 3
+      deepbots tune mine.yaml --param fall_angle=10..20deg --param train.network.activation='tanh | relu'
+      deepbots tune mine.yaml
+      deepbots tune --resume runs/cartpole-tune-1 --trials 40
+      deepbots tune --resume runs/cartpole-tune-1 --apply mine.yaml
+
+    A study is a folder with a group of runs for each trial: `deepbots runs STUDY` lists them, and `eval`, `compare`, `plot` and `report`
+    take each of them. Several processes may work on one study: start `deepbots tune --resume STUDY` in each. A study that was interrupted
+    continues with the trials that were begun, each from its last checkpoint. --trials is the number in all.
+
+    The score of the objective `solved` is the fraction of the timesteps until the task is solved, the mean over the seeds; a seed that does
+    not solve it counts 1 to 2, by its distance from what `solved` requires. The best of many trials looks better than it is: confirm it
+    with seeds that the study did not use.
+
+    Next: `deepbots report STUDY` shows the history, which values matter, and slices.
+    """
+    if resume is not None:
+        given = (params, overrides, seeds, timesteps, objective, run, prune, engine, seed or None, None if apply else scenario)
+        if any(option is not None for option in given):
+            raise UsageError(
+                "--resume continues with the scenario and options of the study; only these options can be added: --trials, --apply,"
+                " --quiet, --allow-code, --json"
+            )
+        study = Study.open(resume)
+        if apply:
+            _apply(study, scenario or study.record.source, permissions, as_json=as_json)
+            return
+        if trials is not None and trials != study.record.trials:
+            study = study.with_trials(trials)
+    elif apply:
+        raise UsageError("--apply writes the best values of a study; name it with --resume STUDY")
+    elif scenario is None:
+        raise UsageError("there is no scenario; name one, such as: deepbots tune cartpole --param train.learning_rate=1e-4..1e-2:log")
+    else:
+        if objective not in (None, *get_args(Objective)):
+            raise UsageError(f"--objective: there is no objective '{objective}'; choose one of: {', '.join(get_args(Objective))}")
+        if run is not None and run.exists():
+            raise UsageError(f"--run: {run} already exists; choose another directory, because studies are not overwritten")
+        checked = _checked(scenario, params or (), with_engine(overrides, engine), permissions)
+        settings: dict[str, Any] = {"trials": trials, "timesteps": timesteps, "objective": objective, "prune": prune, "seed": seed}
+        study = create_study(
+            checked, folder=run, seeds=None if seeds is None else _seeds(seeds), command=["deepbots", *sys.argv[1:]], **settings
+        )
+    display = _Display(study, quiet=quiet)
+    try:
+        done = run_study(study, reporter=display, permissions=permissions)
+    finally:
+        display.stop()
+    _show(study, done=done, as_json=as_json)
+
+
+def _checked(scenario: str, params: Sequence[str], overrides: Sequence[str] | None, permissions: Permissions) -> CheckedScenario:
+    """The scenario with the search of the options.
+
+    Raises:
+        UsageError: An option is wrong; one sentence.
+        ScenarioError: The scenario has errors, in its section `tune` too.
+    """
+    overrides = list(overrides or ())
+    if not params:
+        return api.load(scenario, overrides=overrides, permissions=permissions, tests=True)
+    search: dict[str, str] = {}
+    for text in params:
+        path, _, values = (part.strip() for part in text.partition("="))
+        if not path or not values:
+            raise UsageError(f"--param {text}: write PATH=VALUES, such as --param train.learning_rate=1e-4..1e-2:log")
+        if path in search:
+            raise UsageError(f"--param names {path} twice")
+        search[path] = values
+    before = api.load(scenario, overrides=overrides, permissions=permissions)
+    if before.program is None:  # its own errors, in full
+        api.compile(before)
+    # A list is YAML already; anything else is one text.
+    entries = (f"{json.dumps(path)}: {values if values.startswith('[') else json.dumps(values)}" for path, values in search.items())
+    checked = api.load(scenario, overrides=[*overrides, f"tune.search={{{', '.join(entries)}}}"], permissions=permissions, tests=True)
+    for found in checked.findings.errors:
+        if found.span.source.name.startswith("--set tune"):
+            name = next((f" {path}={values}" for path, values in search.items() if found.span.text.strip("\"'") in (path, values)), "")
+            raise UsageError(f"--param{name}: {found.headline}{f'; {found.help}' if found.help else ''}")
+    return checked
+
+
+def _seeds(text: str) -> Sequence[int]:
+    """`3`: that many seeds from 0; `0..4` or `0,3,7`: these."""
+    if ".." in text or "," in text:
+        return seed_list(text)
+    return range(whole_number(1, MAX_SEEDS)(text))
+
+
+class _Display(StudyReporter):
+    """A line for each trial that ends; on a terminal, a line below it that is rewritten during a training."""
+
+    def __init__(self, study: Study, *, quiet: bool) -> None:
+        self._study, self._quiet, self._best = study, quiet, ""
+        self._line = terminal.LiveLine() if not quiet else None
+        self._trial = self._seed = ""
+        record = study.record
+        if not quiet:
+            keys = ", ".join(f"{name} = {space}" for name, space in record.search.items())
+            terminal.note(f"study {study.path}: {keys}")
+            terminal.note(
+                f"{record.trials} trials with {len(record.seeds)} seed{'s' * (len(record.seeds) > 1)} and at most"
+                f" {record.total_timesteps:,} timesteps each; {_OBJECTIVES[record.objective]}; Ctrl-C keeps everything"
+            )
+            if task := [name for name in record.search if not name.startswith("train.")]:
+                terminal.note(f"note: {', '.join(task)} may change the task itself; each trial is evaluated in its own task")
+
+    def note(self, text: str) -> None:
+        """Notes of single trainings are the same for each."""
+
+    def begin_trial(self, trial: StudyTrial) -> None:
+        self._trial = f"trial {trial.number}: {_settings(trial.values)}"
+
+    def begin_seed(self, seed: int, number: int, count: int) -> None:
+        self._seed = f"seed {seed}, {number} of {count}"
+
+    def update(self, progress: TrainingProgress) -> None:
+        if self._line is not None:
+            self._line.show(
+                "  ".join(filter(None, [f"{self._seed}: {progress.steps:,} of {progress.total_steps:,} steps", self._trial, self._best]))
+            )
+
+    def stop(self) -> None:
+        if self._line is not None:
+            self._line.clear()
+
+    def end_trial(self, trial: StudyTrial) -> None:
+        if self._line is None:
+            return
+        self._line.clear()
+        best = next(iter(self._study.ranked(self._study.trials())), None)
+        self._best = f"best so far: trial {best.number}, score {best.score:.4g}" if best else ""
+        result = trial.reason or trial.state if trial.score is None else _result(trial)
+        terminal.note(f"trial {trial.number}: {_settings(trial.values)}: {result}")
+
+
+_OBJECTIVES: Mapping[str, str] = {
+    "solved": "score: fraction of the timesteps until solved, the mean over the seeds; above 1: not solved",
+    "success_rate": "score: success rate of the evaluation, the mean over the seeds",
+    "mean_return": "score: mean return of the evaluation, the mean over the seeds",
+}
+
+
+def _settings(values: Mapping[str, str]) -> str:
+    return ", ".join(f"{name}={text}" for name, text in values.items())
+
+
+def _result(trial: StudyTrial) -> str:
+    solved = [each.steps for each in trial.seeds if each.steps is not None]
+    after = f", {len(solved)} of {len(trial.seeds)} seeds solved" + (f" after {fmean(solved):,.0f} steps" if solved else "")
+    return f"score {trial.score:.4g}{after}"
+
+
+def _row(study: Study, trial: StudyTrial) -> Row:
+    solved = [each.steps for each in trial.seeds if each.steps is not None]
+    returns = [each.mean_return for each in trial.seeds if each.mean_return is not None]
+    rates = [each.success_rate for each in trial.seeds if each.success_rate is not None]
+    return {
+        "trial": trial.number,
+        **trial.values,
+        "score": trial.score,
+        "score_95 %": interval_text(study.record.score_interval(trial)),
+        "solved": f"{len(solved)} of {len(trial.seeds)}",
+        "steps": round(fmean(solved)) if solved else None,
+        "return": fmean(returns) if returns else None,
+        "success": f"{fmean(rates):.1%}" if rates else None,
+    }
+
+
+def _show(study: Study, *, done: bool, as_json: bool) -> None:
+    """The best trials, and what to do next."""
+    found = study.trials()
+    ranked, path = study.ranked(found), quote(str(study.path))
+    counts = {state: sum(trial.state == state for trial in found) for state in ("complete", "pruned", "failed", "running")}
+    rows = [_row(study, trial) for trial in ranked[:_MAX_SHOWN]]
+    summary = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
+    lines = [f"study {study.path}: {summary or 'no trial'} of {study.record.trials} trials", *([table(rows)] if rows else [])]
+    best = ranked[0] if ranked else None
+    if best is not None and best.score is not None:
+        first = next((trial for trial in ranked if trial.number == 0 and study.record.present), None)
+        own = f"; the values of the scenario itself: {first.score:.4g}" if first is not None and first.score is not None else ""
+        lines.append(f"best: trial {best.number}, score {best.score:.4g}{own}")
+    data = {
+        "study": study.path,
+        "objective": study.record.objective,
+        "done": done,
+        "best": best.number if best else None,
+        "trials": [{**vars(trial), "score_interval": study.record.score_interval(trial)} for trial in found],
+    }
+    further = [f"deepbots report {path}", f"deepbots tune --resume {path} --trials {2 * study.record.trials}"]
+    if not done:
+        further = [f"deepbots tune --resume {path}"]
+    elif best is not None:
+        further.insert(1, f"deepbots tune --resume {path} --apply")
+        settings = " ".join(f"--set {quote(text)}" for text in (*study.record.set, *best.assignments))
+        further.append(f"deepbots train {quote(study.record.source)} {settings} --seeds {_unused_seeds(study)}")
+    terminal.show(data, *lines, as_json=as_json, next_commands=further)
+    if not done:
+        raise typer.Exit(INTERRUPTED)
+
+
+def _apply(study: Study, name: str, permissions: Permissions, *, as_json: bool) -> None:
+    """Write the values of the best trial into a scenario file.
+
+    Raises:
+        UsageError: No trial is complete, the file comes with deepbots, or its text does not allow a change.
+    """
+    best = next(iter(study.ranked(study.trials())), None)
+    if best is None:
+        raise UsageError(f"{study.path} has no complete trial yet; continue it with: deepbots tune --resume {quote(str(study.path))}")
+    opened = Source.open(name, permissions, SourceKind.SCENARIO)
+    file = opened.path.resolve()
+    if any(file.is_relative_to(root.resolve()) for root in shipped.data_roots()):
+        raise UsageError(
+            f"{file.name} comes with deepbots; copy it with `deepbots new mine --from {file.stem}`, and name the copy: --apply mine.yaml"
+        )
+    before = after = files.read(file)
+    comment = f"tuned by {study.path.name}, trial {best.number}"
+    wanted = opened.document(overrides=best.assignments, tests=True)
+    for path, text in best.values.items():
+        document = opened.document(drafts={file: after})
+        root, source = document.root, document.files[file]
+        changed = None if root is None else assigned_text(root, source, setting_path(root, path), text, comment)
+        if changed is None:
+            raise UsageError(f"{file} cannot be changed by --apply; write {path}: {text} yourself")
+        after = (b"\xef\xbb\xbf" if before.startswith(b"\xef\xbb\xbf") else b"") + changed.encode()
+    written = opened.document(drafts={file: after})
+    if wanted.root is None or written.root is None or to_data(wanted.root) != to_data(written.root):
+        values = ", ".join(f"{path}: {text}" for path, text in best.values.items())
+        raise UsageError(f"{file} cannot be changed by --apply; write the values yourself: {values}")
+    with atomic_write(file) as draft:
+        draft.write_bytes(after)
+    data = {"file": file, "trial": best.number, "score": best.score, "values": best.values}
+    rows = [{"key": path, "value": text} for path, text in best.values.items()]
+    further = [f"deepbots lint {quote(str(name))}", f"deepbots train {quote(str(name))} --seeds {_unused_seeds(study)}"]
+    terminal.show(
+        data, f"{file}: values of trial {best.number}, score {best.score:.4g}\n{table(rows)}", as_json=as_json, next_commands=further
+    )
+
+
+def _unused_seeds(study: Study) -> str:
+    first = max(study.record.seeds) + 1
+    return f"{first}..{first + 4}"

@@ -1,0 +1,364 @@
+"""Studies: searches for better values of a scenario with Optuna. A trial is a group of runs under one set of values.
+
+    runs/cartpole-tune-1/
+    ├── study.json           search space, seeds, objective, settings of the trainings, versions, command
+    ├── inputs/, resolved.yaml   the scenario, from which all trials are trained
+    ├── journal.log          the values, states and scores of the trials, by Optuna
+    └── trial-0/, trial-1/ ...   a group for each trial
+
+Several processes may work on one study: each takes the next trial under a lock that ends with the process. A trial of a process that was
+killed is taken up again, and its runs continue from their checkpoints. The values of a trial depend on the seed of the study, the number
+of the trial and the trials before it, so one process with the same seed gives the same study, with or without an interruption.
+Importing this module loads neither Optuna nor torch.
+"""
+
+from __future__ import annotations
+
+import shutil
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt, TypeAdapter, ValidationError
+
+import deepbots_cli
+from deepbots_cli import api, engine_kinds
+from deepbots_cli.api import Compiled
+from deepbots_cli.compiler import CheckedScenario
+from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
+from deepbots_cli.document import Permissions, inline_text
+from deepbots_cli.document.load import setting_path
+from deepbots_cli.document.nodes import node_at
+from deepbots_cli.errors import DeepbotsError, MissingExtraError, RunError, UsageError
+from deepbots_cli.learning.episodes import UNBOUNDED, Interval
+from deepbots_cli.learning.report import Reporter
+from deepbots_cli.learning.run import (
+    RecordFormat,
+    new_directory,
+    read_json,
+    timestamp,
+    versions,
+    write_text,
+)
+from deepbots_cli.rollout.source import STUDY_RECORD_NAME, Source, SourceKind, folder_kind
+from deepbots_cli.scenario.search import SearchSpace
+
+if TYPE_CHECKING:
+    import optuna
+
+FORMAT = 1
+JOURNAL_NAME = "journal.log"
+Objective = Literal["solved", "success_rate", "mean_return"]
+TrialState = Literal["running", "complete", "pruned", "failed"]
+
+_MAX_RECORD_BYTES = 1_000_000
+_MAX_JOURNAL_BYTES = 200_000_000
+
+
+class StudyRecord(BaseModel):
+    """The content of `study.json`.
+
+    `set` are the assignments of `--set`. `present` are the values of the scenario itself, which the first trial tries; empty where one of
+    them is not in the file, or not in its range. `total_timesteps` are those of each training, `seed` is that of the search.
+    """
+
+    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
+
+    format: int
+    deepbots: str
+    scenario: str
+    source: str
+    set: tuple[str, ...] = ()
+    engine: str
+    search: Mapping[str, SearchSpace] = Field(min_length=1)
+    present: Mapping[str, float | str] = {}
+    seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field(min_length=1, max_length=1000)
+    trials: PositiveInt
+    total_timesteps: PositiveInt
+    objective: Objective
+    prune: bool
+    seed: int = Field(ge=0, lt=2**63)
+    versions: Mapping[str, str]
+    command: tuple[str, ...]
+    started: str
+
+    @property
+    def lower_is_better(self) -> bool:
+        return self.objective == "solved"
+
+    def score_interval(self, trial: StudyTrial) -> Interval | None:
+        """The interval of the score of a trial over its seeds."""
+        from deepbots_cli.learning.statistics import mean_interval  # which imports scipy
+
+        bounds = {"solved": (0.0, 2.0), "success_rate": (0.0, 1.0), "mean_return": UNBOUNDED}[self.objective]
+        return mean_interval([each.score for each in trial.seeds], bounds)
+
+    def training_command(self, assignments: Sequence[str]) -> list[str]:
+        """The command that trains a trial with these values, without a study."""
+        settings = [word for text in (*self.set, *assignments) for word in ("--set", text)]
+        seeds = ",".join(map(str, self.seeds))
+        return ["deepbots", "train", self.source, "--seeds", seeds, "--timesteps", str(self.total_timesteps), *settings]
+
+    def texts(self, values: Mapping[str, Any]) -> dict[str, str]:
+        """The values of a trial as they are written in a scenario, by key."""
+        return {name: space.text(values[name]) for name, space in self.search.items()}
+
+
+@dataclass(frozen=True)
+class SeedScore:
+    """The result of one training of a trial; statistics are None without a model, `steps` where the task is not solved."""
+
+    seed: int
+    score: float
+    steps: int | None = None
+    mean_return: float | None = None
+    success_rate: float | None = None
+
+
+@dataclass(frozen=True)
+class StudyTrial:
+    """A trial, as far as it is known. `values` are texts, `score` is None unless it is complete, `reason` says why it failed."""
+
+    number: int
+    path: Path
+    state: TrialState
+    values: Mapping[str, str]
+    score: float | None = None
+    seeds: tuple[SeedScore, ...] = ()
+    reason: str | None = None
+
+    @property
+    def assignments(self) -> list[str]:
+        """The values as for `--set`."""
+        return [f"{name}={text}" for name, text in self.values.items()]
+
+
+@dataclass(frozen=True)
+class TrialResult:
+    """What `run_trial` came to. `state` is `running` after an interruption: the trial can be continued."""
+
+    state: TrialState
+    seeds: tuple[SeedScore, ...] = ()
+    reason: str | None = None
+    stop_requested: bool = False
+
+
+class StudyReporter(Reporter):
+    """Follows a study and the training at work. This one reports nothing."""
+
+    def begin_trial(self, trial: StudyTrial) -> None:
+        """Called before a trial is trained, or continued."""
+
+    def begin_seed(self, seed: int, number: int, count: int) -> None:
+        """Called before each training, with its number from 1, and the number of all trainings of the trial."""
+
+    def end_trial(self, trial: StudyTrial) -> None:
+        """Called after a trial has ended."""
+
+
+@dataclass(frozen=True)
+class Journal:
+    """The study as Optuna knows it, read from its journal and written to it."""
+
+    known: optuna.Study
+    storage: optuna.storages.JournalStorage
+
+    @property
+    def trials(self) -> list[optuna.trial.FrozenTrial]:
+        """All trials, by number."""
+        return self.known.get_trials(deepcopy=False)
+
+    def importances(self, seeds: int, *, lower_is_better: bool) -> list[dict[str, float]]:
+        """How much each key matters for the best quarter of the complete trials, by the scores of one seed after the other; sums are 1.
+
+        This is PED-ANOVA (S. Watanabe, A. Bansal and F. Hutter, IJCAI 2023).
+        """
+        from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
+
+        def importances(seed: int) -> dict[str, float]:
+            def cost(trial: optuna.trial.FrozenTrial) -> float:
+                found = float(trial.user_attrs["seeds"][seed]["score"])
+                return found if lower_is_better else -found
+
+            return get_param_importances(self.known, evaluator=PedAnovaImportanceEvaluator(target_quantile=0.25), target=cost)
+
+        with warnings.catch_warnings(action="ignore"):  # that low values are good, which they are
+            return [importances(seed) for seed in range(seeds)]
+
+    def trial(self, number: int) -> optuna.trial.Trial:
+        """A trial, of whatever process, to report to."""
+        import optuna
+
+        study_id = self.storage.get_study_id_from_name(self.known.study_name)
+        return optuna.trial.Trial(self.known, self.storage.get_trial_id_from_study_id_trial_number(study_id, number))
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study on disk."""
+
+    path: Path
+    record: StudyRecord
+
+    @staticmethod
+    def open(path: str | Path | Source) -> Study:
+        """A study that exists.
+
+        Raises:
+            RunError: The folder is no study, its record is damaged, or another version of deepbots wrote it.
+        """
+        path = Source.open(path, Permissions(), SourceKind.STUDY).path
+        found = read_json(path / STUDY_RECORD_NAME, RecordFormat, _MAX_RECORD_BYTES).format
+        if found != FORMAT:
+            raise RunError(f"{path} is a study of format {found}, but this version of deepbots reads {FORMAT}")
+        for name in (STUDY_RECORD_NAME, RESOLVED_NAME, INPUTS_FOLDER, JOURNAL_NAME):
+            if (path / name).is_symlink():
+                raise RunError(f"{path / name} is a symbolic link; deepbots does not write symbolic links into a study")
+        return Study(path, read_json(path / STUDY_RECORD_NAME, StudyRecord, _MAX_RECORD_BYTES))
+
+    def with_trials(self, trials: int) -> Study:
+        """The study with another number of trials in all, here and on disk."""
+        changed = Study(self.path, self.record.model_copy(update={"trials": trials}))
+        write_text(self.path / STUDY_RECORD_NAME, changed.record.model_dump_json(indent=2) + "\n")
+        return changed
+
+    def trial_folder(self, number: int) -> Path:
+        return self.path / f"trial-{number}"
+
+    @property
+    def groups(self) -> list[Path]:
+        """The folders of the trials that have begun, by number."""
+        found = [path for path in self.path.glob("trial-*") if folder_kind(path) is SourceKind.GROUP]
+        return sorted(found, key=lambda path: (len(path.name), path.name))
+
+    def compiled(self, overrides: Sequence[str] = (), permissions: Permissions = Permissions()) -> Compiled:
+        """The scenario with assignments of `--set`."""
+        found = api.compile(Source.kept(self.path, kind=SourceKind.STUDY), overrides=overrides)
+        return replace(found, source=Path(self.record.source), permissions=permissions)
+
+    def connect(self) -> Journal:
+        """Its journal, which is made where there is none.
+
+        Raises:
+            MissingExtraError: Optuna is not installed.
+            RunError: The journal is damaged.
+        """
+        try:
+            import optuna
+        except ModuleNotFoundError as error:
+            raise MissingExtraError("tune", "a search over values") from error
+        from optuna.storages import JournalStorage
+        from optuna.storages.journal import JournalFileBackend
+
+        path, level = self.path / JOURNAL_NAME, optuna.logging.get_verbosity()
+        if path.exists() and path.stat().st_size > _MAX_JOURNAL_BYTES:
+            raise RunError(f"{path} is larger than {_MAX_JOURNAL_BYTES} bytes, so deepbots did not write it")
+        optuna.logging.set_verbosity(optuna.logging.WARNING)  # or it reports each study that it makes
+        try:
+            direction: Literal["minimize", "maximize"] = "minimize" if self.record.lower_is_better else "maximize"
+            storage = JournalStorage(JournalFileBackend(str(path)))
+            known = optuna.create_study(storage=storage, study_name=self.record.scenario, direction=direction, load_if_exists=True)
+            return Journal(known, storage)
+        except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
+            raise RunError(f"{path} is damaged, or was not written by deepbots") from error
+        finally:
+            optuna.logging.set_verbosity(level)
+
+    def trials(self, journal: Journal | None = None) -> list[StudyTrial]:
+        """All trials that have values, by number.
+
+        Raises:
+            RunError: The journal is damaged, or has values that are not in the search space.
+        """
+        frozen = (self.connect() if journal is None else journal).trials
+        return [self._trial(each) for each in frozen if self.record.search.keys() <= each.params.keys()]
+
+    def trial(self, journal: Journal, number: int) -> StudyTrial:
+        return self._trial(journal.trials[number])
+
+    def _trial(self, frozen: optuna.trial.FrozenTrial) -> StudyTrial:
+        states: dict[str, TrialState] = {"COMPLETE": "complete", "PRUNED": "pruned", "FAIL": "failed"}
+        state, reason = states.get(frozen.state.name, "running"), frozen.user_attrs.get("reason")
+        try:
+            seeds = TypeAdapter(tuple[SeedScore, ...]).validate_python(frozen.user_attrs.get("seeds", ()))
+            values = self.record.texts(frozen.params)
+        except (ValidationError, LookupError, TypeError, ValueError) as error:
+            raise RunError(f"{self.path / JOURNAL_NAME} is damaged: trial {frozen.number} does not fit the search space") from error
+        state, reason = ("failed", str(reason)) if reason else (state, None)
+        found = frozen.value if state == "complete" else None
+        return StudyTrial(frozen.number, self.trial_folder(frozen.number), state, values, found, seeds, reason)
+
+    def ranked(self, trials: Sequence[StudyTrial]) -> list[StudyTrial]:
+        """The complete trials, the best first; of equals the earlier one."""
+        sign = 1 if self.record.lower_is_better else -1
+        return sorted((trial for trial in trials if trial.score is not None), key=lambda trial: (sign * (trial.score or 0), trial.number))
+
+
+def create_study(
+    checked: CheckedScenario,
+    *,
+    folder: str | Path | None = None,
+    runs: str | Path = "runs",
+    trials: int | None = None,
+    seeds: Sequence[int] | None = None,
+    timesteps: int | None = None,
+    objective: Objective | None = None,
+    prune: bool | None = None,
+    seed: int = 0,
+    command: Sequence[str] = (),
+) -> Study:
+    """Make the folder of a study; nothing is trained yet. What is None is as under `tune` of the scenario.
+
+    Raises:
+        ScenarioError: The scenario has findings at error level.
+        UsageError: The scenario has no search, does not fit the objective, or the folder exists.
+    """
+    if find_spec("optuna") is None:
+        raise MissingExtraError("tune", "a search over values")
+    compiled = api.compile(checked)
+    program, tune, root = compiled.program, checked.spec.tune if checked.spec else None, checked.document.root
+    if tune is None or root is None:
+        raise UsageError(f"{program.name} has no `tune` section; name what to search: --param train.learning_rate=1e-4..1e-2:log")
+    training, solved = program.agent.training, program.agent.solved
+    if training is None:
+        raise UsageError(f"{program.name} has no `train` section; add one that names the algorithm")
+    chosen = objective or tune.objective or ("solved" if solved else "success_rate" if program.defines_success else "mean_return")
+    if chosen == "solved" and solved is None:
+        raise UsageError(f"the objective `solved` needs the key `solved`, which {program.name} does not have; use --objective mean_return")
+    if chosen == "success_rate" and not program.defines_success:
+        raise UsageError(f"the objective `success_rate` needs a success, which {program.name} does not define; use --objective mean_return")
+    written = {name: node_at(root, *setting_path(root, name)) for name in checked.search}
+    values = {name: space.value_of(inline_text(node)) for name, space in checked.search.items() if (node := written[name]) is not None}
+    present = {name: value for name, value in values.items() if value is not None}
+    path = new_directory(folder, runs, program.name, "tune")
+    record = StudyRecord(
+        format=FORMAT,
+        deepbots=deepbots_cli.__version__,
+        scenario=program.name,
+        source=str(compiled.source),
+        set=tuple(text for text in compiled.overrides if not text.startswith("tune.")),
+        engine=engine_kinds.chosen(program.engine),
+        search=checked.search,
+        present=present if len(present) == len(checked.search) else {},
+        seeds=tuple(range(tune.seeds) if seeds is None else seeds),
+        trials=trials or tune.trials,
+        total_timesteps=timesteps or tune.timesteps or training.total_timesteps,
+        objective=chosen,
+        prune=tune.prune if prune is None else prune,
+        seed=seed,
+        versions=versions("optuna"),
+        command=tuple(command),
+        started=timestamp(),
+    )
+    try:
+        write_copies(path, compiled.resolved, compiled.inputs)
+        write_text(path / STUDY_RECORD_NAME, record.model_dump_json(indent=2) + "\n")
+        made = Study(path, record)
+        made.connect()
+    except (DeepbotsError, KeyboardInterrupt):
+        shutil.rmtree(path, ignore_errors=True)
+        raise
+    return made

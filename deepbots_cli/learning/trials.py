@@ -1,0 +1,304 @@
+"""Trials of a study: which one a process takes, how it is trained and scored, and when it is pruned."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import asdict
+from pathlib import Path
+from statistics import fmean, median
+from typing import TYPE_CHECKING, Any
+
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import DeepbotsError, RunError, UsageError
+from deepbots_cli.files import read_at_most
+from deepbots_cli.learning.episodes import meets_solved
+from deepbots_cli.learning.group import Group, resume_group, train_group
+from deepbots_cli.learning.report import to_json
+from deepbots_cli.learning.run import Run, RunRecord, is_training, run_lock
+from deepbots_cli.learning.study import Journal, Objective, SeedScore, Study, StudyReporter, TrialResult
+from deepbots_cli.learning.verdict import quoted_evaluation
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import Solved
+from deepbots_cli.rollout.source import SourceKind, folder_kind
+from deepbots_cli.runtime.streams import derive_seed
+from deepbots_cli.scenario.search import SearchSpace
+
+if TYPE_CHECKING:
+    import optuna
+
+PRUNED_BY = "tune"
+"""`stopped_by` of a run whose trial was pruned."""
+GRID = 10
+"""Points of a training at which trials are compared."""
+WARM_UP = 2
+"""Points of the first training at which no trial is pruned: its first evaluations say little."""
+MIN_COMPARED = 5
+"""Complete trials before one is pruned, as in Optuna's median pruner."""
+UNSOLVED = 2.0
+"""The score of a training without a model, the upper bound of all others."""
+_MAX_EVALUATIONS_BYTES = 200_000_000
+_CLAIM_TIMEOUT_S = 300.0
+"""How long a process waits for another one that takes a trial, which lasts less than a second."""
+_MAX_FAILED_FIRST = 3
+"""Trials that may fail at the beginning; after that the settings are wrong, not the values."""
+
+
+def run_study(study: Study, *, reporter: StudyReporter | None = None, permissions: Permissions = Permissions()) -> bool:
+    """Take trials, one after the other, until the study has as many as its record says, or none is left for this process.
+
+    Trials that other processes have begun and left are continued first. Returns False after Ctrl-C or SIGTERM.
+
+    Raises:
+        RunError: The study is damaged.
+        UsageError: The first trials fail; the message is that of the last one.
+    """
+    reporter, journal = reporter or StudyReporter(), study.connect()
+    while True:
+        with next_trial(study, journal) as number:
+            if number is None:
+                return True
+            reporter.begin_trial(study.trial(journal, number))
+            result = run_trial(study.path, number, reporter=reporter, permissions=permissions)
+            if result.state == "running":
+                return False
+            end_trial(journal, number, result)
+            reporter.end_trial(study.trial(journal, number))
+        ended = study.trials(journal)
+        if len(ended) >= _MAX_FAILED_FIRST and all(trial.state == "failed" for trial in ended):
+            raise UsageError(f"all trials fail: {result.reason}")
+        if result.stop_requested:
+            return False
+
+
+@contextmanager
+def next_trial(study: Study, journal: Journal) -> Iterator[int | None]:
+    """Take a trial, which no other process takes within the block; None if there is none left.
+
+    A trial that is unfinished and locked by nobody comes first; then a new one with values of the sampler.
+    """
+    from optuna.samplers import TPESampler
+
+    def lock(number: int) -> AbstractContextManager[None]:
+        return run_lock(study.path, f".trial-{number}.lock")
+
+    with ExitStack() as stack:
+        with run_lock(study.path, ".next.lock", _CLAIM_TIMEOUT_S):
+            trials, number = journal.trials, None
+            for trial in trials:
+                if trial.state.name == "RUNNING" and not is_training(study.trial_folder(trial.number)):
+                    with ExitStack() as attempt, suppress(UsageError):  # another process works on it
+                        attempt.enter_context(lock(trial.number))
+                        if journal.trials[trial.number].state.name == "RUNNING":
+                            number = trial.number
+                            stack.enter_context(attempt.pop_all())
+                            break
+            # A sampler for each trial: that of a process would begin again with the same numbers after an interruption.
+            seed = derive_seed(study.record.seed, "trial", len(trials) if number is None else number)
+            journal.known.sampler = TPESampler(seed=seed)
+            if number is None and (len(trials) < study.record.trials or any(trial.state.name == "WAITING" for trial in trials)):
+                if not trials and study.record.present:
+                    journal.known.enqueue_trial(dict(study.record.present))
+                number = journal.known.ask().number
+                stack.enter_context(lock(number))
+            if number is not None:
+                _suggest(journal.trial(number), study.record.search)
+        yield number
+
+
+def _suggest(trial: optuna.trial.Trial, search: Mapping[str, SearchSpace]) -> None:
+    """Give a trial the values that it does not have yet."""
+    for name, space in search.items():
+        if space.choices:
+            trial.suggest_categorical(name, space.choices)
+        elif space.whole:
+            trial.suggest_int(name, int(space.low), int(space.high), log=space.log)
+        else:
+            trial.suggest_float(name, space.low, space.high, log=space.log)
+
+
+def end_trial(journal: Journal, number: int, result: TrialResult) -> None:
+    """Tell Optuna the result of a trial. One that failed counts as pruned, so that the sampler keeps away from its values."""
+    from optuna.trial import TrialState
+
+    trial = journal.trial(number)
+    trial.set_user_attr("seeds", [asdict(each) for each in result.seeds])
+    if result.reason is not None:
+        trial.set_user_attr("reason", result.reason)
+    if result.state == "complete":
+        journal.known.tell(trial, fmean(each.score for each in result.seeds), skip_if_finished=True)
+    else:
+        journal.known.tell(trial, state=TrialState.PRUNED, skip_if_finished=True)
+
+
+def run_trial(path: Path, number: int, *, reporter: StudyReporter | None = None, permissions: Permissions = Permissions()) -> TrialResult:
+    """Train or continue the runs of a trial whose values are known, and evaluate their best models. The caller has its lock.
+
+    It needs the folder of the study only, so that it can be called in any process. Evaluations of the trainings go to the journal.
+
+    Raises:
+        RunError: The study is damaged.
+    """
+    study, reporter = Study.open(path), reporter or StudyReporter()
+    record, folder, journal = study.record, study.trial_folder(number), study.connect()
+    follower = _Follower(study, journal, number, study.compiled().program, reporter)
+    options: dict[str, Any] = {"progress": reporter, "on_seed": follower.begin_seed, "on_evaluation": follower.add_evaluation}
+    try:
+        if folder_kind(folder) is SourceKind.GROUP:
+            trained = resume_group(folder, permissions=permissions, **options)
+        else:
+            shutil.rmtree(folder, ignore_errors=True)  # of a process that was killed before it wrote the record
+            overrides = study.trial(journal, number).assignments
+            compiled = study.compiled(overrides, permissions)
+            options |= {"total_timesteps": record.total_timesteps, "engine": compiled.program.engine or record.engine}
+            trained = train_group(compiled, record.seeds, group=folder, command=record.training_command(overrides), **options)
+    except DeepbotsError as error:  # values that do not go together
+        return TrialResult("failed", reason=error.full_message)
+    stop_requested = any(result.stop_requested for result in trained.trained)
+    group = Group.open(folder)
+    if follower.is_pruned():
+        return TrialResult("pruned", stop_requested=stop_requested)
+    if trained.interrupted and trained.waiting:
+        return TrialResult("running", stop_requested=True)
+    reason = "; ".join(f"seed {seed}: {why}" for seed, why in trained.failed.items()) or None
+    if reason is not None and record.objective != "solved":
+        return TrialResult("failed", reason=reason, stop_requested=stop_requested)
+    try:
+        _evaluate(group, permissions)
+    except KeyboardInterrupt:
+        return TrialResult("running", stop_requested=True)
+    follower.finish()
+    return TrialResult("complete", tuple(_seed_score(study, group, follower.solved, seed) for seed in record.seeds), None, stop_requested)
+
+
+def _evaluate(group: Group, permissions: Permissions) -> None:
+    """Evaluate and keep the evaluation of each run that has a model and none yet."""
+    from deepbots_cli.learning.evaluation import evaluate  # which imports torch
+
+    for path in group.runs_with_model:
+        run = Run.open(path)
+        if quoted_evaluation(path, run.record) is None:
+            run.write_evaluation(to_json(evaluate(run, permissions=permissions)))
+
+
+def _seed_score(study: Study, group: Group, solved: Solved | None, seed: int) -> SeedScore:
+    """The score of a training from the evaluation of its best model."""
+    path, record = group.run(seed), study.record
+    run = RunRecord.read(path) if folder_kind(path) is SourceKind.RUN else None
+    quoted = quoted_evaluation(path, run) if run is not None else None
+    if run is None or run.result is None or quoted is None:
+        return SeedScore(seed, UNSOLVED)
+    found, rate = quoted[1], quoted[1].success_rate or 0.0
+    met = found.solved if found.solved is not None else solved is not None and meets_solved(solved, found.mean_return, rate)
+    steps = (run.result.solved_at.steps if run.result.solved_at else run.result.steps) if met else None
+    value = score(record.objective, solved, found.mean_return, rate, None if steps is None else steps / record.total_timesteps)
+    return SeedScore(seed, value, steps, found.mean_return, found.success_rate)
+
+
+def score(objective: Objective, solved: Solved | None, mean_return: float, success_rate: float, solved_after: float | None) -> float:
+    """The score of a training.
+
+    That of the objective `solved` is at most 1 for a solved task: the fraction of the timesteps after which it was solved
+    (`solved_after`, None if it was not). For others it is 1 to 2, and grows with the distance from the required value: relative to this
+    value, a distance d adds d / (1 + d). So it compares any two trainings, and small values are good.
+    """
+    if objective != "solved" or solved is None:
+        return mean_return if objective == "mean_return" else success_rate
+    if solved_after is not None:
+        return min(1.0, solved_after)
+    pairs = ((solved.mean_return, mean_return), (solved.success_rate, success_rate))
+    gap = max((max(0.0, required - reached) / (abs(required) or 1.0) for required, reached in pairs if required is not None), default=0.0)
+    return 1.0 + gap / (1.0 + gap)
+
+
+class _Follower:
+    """Reports the evaluations of the trainings of a trial to the journal, and says when the trial is pruned.
+
+    After each evaluation, the best one so far has a score. At `GRID` points of each training, the mean of this score and those of the
+    seeds before it goes to the journal. A trial is pruned where this mean is worse than the median of the complete trials at the same
+    point. Everything is read from the files of the runs, so a trial that is continued reports the same.
+    """
+
+    def __init__(self, study: Study, journal: Journal, number: int, program: Program, reporter: StudyReporter) -> None:
+        self._study, self._journal, self._reporter = study, journal, reporter
+        self._trial = journal.trial(number)
+        self._runs = [study.trial_folder(number) / f"seed-{seed}" for seed in study.record.seeds]
+        self._last_stage = program.curriculum[-1].name if program.curriculum else None
+        self.solved = program.agent.solved
+
+    def begin_seed(self, seed: int, number: int, count: int) -> bool:
+        """Whether to train a seed: not after the trial was pruned."""
+        if not self.is_pruned():
+            self._reporter.begin_seed(seed, number, count)
+            return True
+        return False
+
+    def add_evaluation(self, run: Path) -> str | None:
+        """Called after each evaluation of a training."""
+        place, evaluations = self._runs.index(run), self._evaluations(run)
+        point = int(GRID * evaluations[-1][0]) if evaluations else 0
+        return PRUNED_BY if 0 < point < GRID and self._is_worse(place, point) else None
+
+    def is_pruned(self) -> bool:
+        """Whether a training of the trial was stopped, or the next one is not worth its time."""
+        begun = [RunRecord.read(run) for run in self._runs if folder_kind(run) is SourceKind.RUN]
+        if any(each.result is not None and each.result.stopped_by == PRUNED_BY for each in begun):
+            return True
+        is_between = 0 < len(begun) < len(self._runs) and all(each.status in ("finished", "failed") for each in begun)
+        return is_between and self._is_worse(len(begun) - 1, GRID)
+
+    def finish(self) -> None:
+        """Called after the last training."""
+        self._report(len(self._runs) - 1, GRID)
+
+    def _is_worse(self, place: int, point: int) -> bool:
+        """Report the scores up to a point of the training at `place`; whether that at the point is worse than the median."""
+        value, step = self._report(place, point), GRID * place + point
+        complete = [trial.intermediate_values for trial in self._journal.trials if trial.state.name == "COMPLETE"]
+        others = [found[step] for found in complete if step in found]
+        if value is None or not self._study.record.prune or step <= WARM_UP or len(others) < MIN_COMPARED:
+            return False
+        return value > median(others) if self._study.record.lower_is_better else value < median(others)
+
+    def _report(self, place: int, point: int) -> float | None:
+        """Report the scores up to a point of the training at `place`, each once; returns that at the point."""
+        step = GRID * place + point
+        reported = dict(self._journal.trials[self._trial.number].intermediate_values)
+        for each in range(1, point + 1):
+            value = self._score(place, each) if GRID * place + each not in reported else None
+            if value is not None:
+                self._trial.report(value, GRID * place + each)
+                reported[GRID * place + each] = value
+        return reported.get(step)
+
+    def _score(self, place: int, point: int) -> float | None:
+        """The mean score of the trainings up to `place` at a point of the last one; None before its first evaluation."""
+        found = [self._score_of(run, GRID) for run in self._runs[:place]]
+        found.append(self._score_of(self._runs[place], point))
+        return None if None in found else fmean(each for each in found if each is not None)
+
+    def _score_of(self, run: Path, point: int) -> float | None:
+        """The score of the best evaluation of a training up to a point."""
+        record, study = RunRecord.read(run), self._study.record
+        at = record.result.solved_at if record.status == "finished" and record.result is not None else None
+        share = at.steps / study.total_timesteps if at is not None and GRID * at.steps <= point * study.total_timesteps else None
+        evaluations = [each for each in self._evaluations(run) if GRID * each[0] <= point]
+        found = [score(study.objective, self.solved, mean_return, rate, share) for _, mean_return, rate in evaluations]
+        if not found and point == GRID and record.status != "running" and study.lower_is_better:
+            return UNSOLVED
+        return (min if study.lower_is_better else max)(found, default=None)
+
+    def _evaluations(self, run: Path) -> list[tuple[float, float, float]]:
+        """The evaluations of a training in the last stage of the curriculum: fraction of its steps, mean return, success rate."""
+        path, total = run / "evaluations" / "training.jsonl", self._study.record.total_timesteps
+        try:
+            lines = map(json.loads, read_at_most(path, _MAX_EVALUATIONS_BYTES).decode().splitlines() if path.is_file() else ())
+            return [
+                (line["steps"] / total, fmean(line["returns"]), fmean(map(float, line["successes"])))
+                for line in lines
+                if line["stage"] == self._last_stage
+            ]
+        except (OSError, ArithmeticError, LookupError, TypeError, ValueError) as error:
+            raise RunError(f"{path} is damaged") from error

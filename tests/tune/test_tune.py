@@ -1,0 +1,216 @@
+"""Studies: trials as groups, drivers that are killed or work side by side, pruning, scores, and the best values in a file."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.cli import main
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.learning import trials
+from deepbots_cli.learning.group import Group
+from deepbots_cli.learning.listing import list_runs, read_listed
+from deepbots_cli.learning.run import RunRecord
+from deepbots_cli.learning.study import Study, create_study
+from deepbots_cli.learning.trials import next_trial, run_study, score
+from deepbots_cli.program.task import Solved
+from deepbots_cli.rollout.source import Source
+
+SCENARIO = """\
+deepbots: 1
+extends: cartpole
+name: Short
+parameters: {fall_angle: 15 deg}       # where the pole has fallen
+train: {total_timesteps: 256, environments: 1, n_steps: 64, batch_size: 64, n_epochs: 1, learning_rate: 1e-3}   # quick
+evaluation: {episodes: 2}
+solved: mean_return >= 195 over 5 episodes
+tune:
+  search: {train.learning_rate: 1e-4 .. 1e-2 :log, fall_angle: 1 deg | 15 deg}
+  trials: 2
+  seeds: 1
+"""
+
+DRIVER = """\
+import os, sys
+from deepbots_cli.cli.commands import runs, train, tune
+from deepbots_cli.learning import study, trials
+assert "optuna" not in sys.modules
+
+class Killed(study.StudyReporter):
+    def begin_trial(self, trial): self.number = trial.number
+    def begin_seed(self, seed, number, count): self.seed = seed
+    def update(self, progress):
+        if (self.number, self.seed) == (1, 0) and progress.steps > 150:
+            os._exit(9)
+
+trials.run_study(study.Study.open(sys.argv[1]), reporter=Killed())
+"""
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scenario") / "short.yaml"
+    path.write_text(SCENARIO)
+    return path
+
+
+def made(file: Path, folder: Path, *overrides: str, **settings: object) -> Study:
+    return create_study(api.load(file, overrides=overrides, tests=True), folder=folder, **settings)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def whole(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Study:
+    """A study that one process has finished; not to be changed."""
+    study = made(file, tmp_path_factory.mktemp("studies") / "whole", prune=False)
+    assert run_study(study)
+    return study
+
+
+def weights(study: Study) -> list[str]:
+    runs = [run for group in study.groups for run in Group.open(group).runs]
+    return [result.weights_digest for run in runs if (result := RunRecord.read(run).result) is not None]
+
+
+def test_a_study_whose_driver_was_killed_continues_to_the_same_trials(file: Path, whole: Study, tmp_path: Path) -> None:
+    study = made(file, tmp_path / "killed", prune=False)
+    driver = subprocess.run([sys.executable, "-c", DRIVER, str(study.path)], check=False, capture_output=True, text=True)
+    assert driver.returncode == 9, driver.stderr
+    assert [trial.state for trial in study.trials()] == ["complete", "running"]
+    assert run_study(study)
+    expected = [(trial.number, trial.state, trial.values, trial.score, trial.seeds) for trial in whole.trials()]
+    assert [(trial.number, trial.state, trial.values, trial.score, trial.seeds) for trial in study.trials()] == expected
+    assert weights(study) == weights(whole)
+    assert len(RunRecord.read(study.path / "trial-1" / "seed-0").resumed_at) == 1
+
+
+def test_the_first_trial_has_the_values_of_the_scenario(whole: Study) -> None:
+    assert whole.trials()[0].values == {"train.learning_rate": "0.001", "fall_angle": "15 deg"}
+
+
+def test_a_trial_is_a_group_and_a_study_is_listed_with_the_values_of_its_trials(whole: Study) -> None:
+    (listed,) = (run for run in list_runs(whole.path.parent) if run.path == whole.path)
+    assert (listed.state, listed.planned, len(listed.runs)) == ("finished", 2, 2)
+    first = read_listed(whole.path / "trial-0")
+    assert first.settings == ("train.learning_rate=0.001", "fall_angle=15 deg")
+    assert [run.evaluated_episodes for run in first.runs] == [2]
+    assert [round(each.score, 9) for each in whole.trials()[0].seeds] == [
+        round(score("solved", Solved(5, mean_return=195.0), run.mean_return or 0.0, 0.0, None), 9) for run in first.runs
+    ]
+
+
+def test_a_study_is_no_run_and_the_message_names_a_trial(whole: Study) -> None:
+    with pytest.raises(RunError, match=r"is a study of `deepbots tune`.*name one of its trials, such as .*/trial-0"):
+        Group.open(whole.path)
+
+
+def test_a_trial_is_taken_by_one_driver_and_again_when_that_one_has_gone(file: Path, tmp_path: Path) -> None:
+    study = made(file, tmp_path / "study", trials=2)
+    journal = study.connect()
+    with next_trial(study, journal) as first, next_trial(study, study.connect()) as second, next_trial(study, journal) as third:
+        assert (first, second, third) == (0, 1, None)
+    values = [trial.values for trial in study.trials()]
+    with next_trial(study, study.connect()) as again:
+        assert again == 0
+    assert [trial.values for trial in study.trials()] == values
+
+
+def test_a_trial_that_is_worse_than_the_median_trains_no_further_seed(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trials, "MIN_COMPARED", 1)
+    study = made(
+        file,
+        tmp_path / "study",
+        'tune={"search": {"fall_angle": "15 deg | 1 deg"}}',
+        trials=2,
+        seeds=(0, 1),
+        objective="mean_return",
+        seed=1,
+    )
+    assert run_study(study)
+    found = {trial.values["fall_angle"]: trial for trial in study.trials()}
+    assert (found["15 deg"].state, found["1 deg"].state) == ("complete", "pruned")
+    assert [run.name for run in Group.open(found["1 deg"].path).runs] == ["seed-0"]
+
+
+def test_a_solved_training_scores_below_any_that_is_not_and_distance_counts() -> None:
+    solved = Solved(100, mean_return=195.0)
+    ordered = [
+        score("solved", solved, mean, 0.0, share) for mean, share in [(200, 0.2), (200, 1.0), (194, None), (100, None), (-1e9, None)]
+    ]
+    assert ordered == sorted(ordered)
+    assert ordered[0] == 0.2
+    assert ordered[1] == 1.0 < ordered[2]
+    assert ordered[3] == pytest.approx(1 + (95 / 195) / (1 + 95 / 195))
+    assert ordered[4] < 2.0
+    assert score("solved", Solved(100, success_rate=0.5), 0.0, 0.25, None) == pytest.approx(1 + 0.5 / 1.5)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--param", "train.lerning_rate=1..2"], "--param train.lerning_rate=1..2: unknown key `lerning_rate` in `train`; did you mean"),
+        (["--param", "fall_angl=1..2deg"], "--param fall_angl=1..2deg: there is no parameter `fall_angl`; did you mean `fall_angle`?"),
+        (["--param", "train.gamma=0.9..1.5"], "`1.5` is above the largest allowed value"),
+        (["--param", "observation.x=-1..1m | -2..2m"], "changes the interface of the policy"),
+        (["--param", "fall_angle"], "write PATH=VALUES"),
+        (["--param", "fall_angle=15deg"], "expected a range or choices"),
+        (["--objective", "fast"], "there is no objective 'fast'"),
+        (["--objective", "success_rate"], "needs a success"),
+        (["--apply"], "name it with --resume STUDY"),
+    ],
+)
+def test_a_wrong_search_is_refused_in_one_sentence_before_anything_starts(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], options: list[str], message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["tune", str(file), *options]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_apply_writes_the_best_values_with_a_comment_and_changes_nothing_else(
+    whole: Study, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    best = whole.ranked(whole.trials())[0]
+    target = tmp_path / "mine.yaml"
+    target.write_text(SCENARIO)
+    for _ in range(2):  # a second time replaces the comment
+        assert main(["tune", "--resume", str(whole.path), "--apply", str(target), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["values"] == best.values
+    changed = dict(enumerate(target.read_text().splitlines()))
+    old = SCENARIO.splitlines()
+    assert {number for number, line in changed.items() if line != old[number]} == {3, 4}
+    note = f"  # tuned by whole, trial {best.number}"
+    assert changed[3] == old[3].replace("15 deg", best.values["fall_angle"]) + note
+    assert changed[4] == old[4].replace("1e-3", best.values["train.learning_rate"]) + note
+
+
+def test_apply_adds_keys_that_a_file_inherits(whole: Study, tmp_path: Path) -> None:
+    target = tmp_path / "mine.yaml"
+    target.write_text("deepbots: 1\nextends: cartpole\nname: Mine\nparameters: {}")
+    assert main(["tune", "--resume", str(whole.path), "--apply", str(target), "-q"]) == 0
+    best = whole.ranked(whole.trials())[0].values
+    document = Source.open(target, Permissions()).document()
+    assert target.read_text().startswith("deepbots: 1\nextends: cartpole\nname: Mine\nparameters: {")
+    assert api.compile(target).digest == api.compile("cartpole", overrides=["name=Mine", *map("=".join, best.items())]).digest
+    assert document.findings.errors == []
+
+
+def test_a_shipped_scenario_is_not_changed(whole: Study, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["tune", "--resume", str(whole.path), "--apply", "cartpole"]) == 2
+    assert "comes with deepbots; copy it with `deepbots new mine --from cartpole`" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("damage", ["{", '{"op_code": 9}\n', '{"op_code":4,"worker_id":"x","study_id":0}\n'])
+def test_a_damaged_journal_is_refused_in_one_sentence(file: Path, tmp_path: Path, damage: str) -> None:
+    study = made(file, tmp_path / "study")
+    with (study.path / "journal.log").open("a") as journal:
+        journal.write(damage + '{"op_code":4,"worker_id":"x","study_id":0}\n')
+    with pytest.raises(UsageError, match=r"journal.log is damaged"):
+        study.trials()
