@@ -374,7 +374,7 @@ def assigned_text(root: MappingNode, source: Source, path: NodePath, value: str,
     return f"{text[:line_start]}{line}  # {comment}{text[line_end.start() :]}"
 
 
-_END_OF_LINE = re.compile(r"\r?\n|$|\r?\Z")
+_END_OF_LINE = re.compile(r"\r?\n|\Z")
 
 
 def _addition(source: Source, holder: MappingNode, entry: str) -> tuple[int, int, str] | None:

@@ -14,6 +14,7 @@ Importing this module loads neither Optuna nor torch.
 
 from __future__ import annotations
 
+import re
 import shutil
 import warnings
 from collections.abc import Mapping, Sequence
@@ -30,7 +31,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
 from deepbots_cli.document import Permissions, inline_text
-from deepbots_cli.document.load import setting_path
+from deepbots_cli.document.load import TUNE, setting_path
 from deepbots_cli.document.nodes import node_at
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, RunError, UsageError
 from deepbots_cli.learning.episodes import UNBOUNDED, Interval
@@ -251,7 +252,7 @@ class Study:
         except ModuleNotFoundError as error:
             raise MissingExtraError("tune", "a search over values") from error
         from optuna.storages import JournalStorage
-        from optuna.storages.journal import JournalFileBackend
+        from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 
         path, level = self.path / JOURNAL_NAME, optuna.logging.get_verbosity()
         if path.exists() and path.stat().st_size > _MAX_JOURNAL_BYTES:
@@ -259,7 +260,7 @@ class Study:
         optuna.logging.set_verbosity(optuna.logging.WARNING)  # or it reports each study that it makes
         try:
             direction: Literal["minimize", "maximize"] = "minimize" if self.record.lower_is_better else "maximize"
-            storage = JournalStorage(JournalFileBackend(str(path)))
+            storage = JournalStorage(JournalFileBackend(str(path), JournalFileOpenLock(str(path))))
             known = optuna.create_study(storage=storage, study_name=self.record.scenario, direction=direction, load_if_exists=True)
             return Journal(known, storage)
         except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
@@ -339,7 +340,7 @@ def create_study(
         deepbots=deepbots_cli.__version__,
         scenario=program.name,
         source=str(compiled.source),
-        set=tuple(text for text in compiled.overrides if not text.startswith("tune.")),
+        set=tuple(text for text in compiled.overrides if re.split(r"[.=]", text, maxsplit=1)[0].strip() != TUNE),
         engine=engine_kinds.chosen(program.engine),
         search=checked.search,
         present=present if len(present) == len(checked.search) else {},

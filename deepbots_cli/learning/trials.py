@@ -88,10 +88,11 @@ def next_trial(study: Study, journal: Journal) -> Iterator[int | None]:
         with run_lock(study.path, ".next.lock", _CLAIM_TIMEOUT_S):
             trials, number = journal.trials, None
             for trial in trials:
-                if trial.state.name == "RUNNING" and not is_training(study.trial_folder(trial.number)):
+                if trial.state.name == "RUNNING":
                     with ExitStack() as attempt, suppress(UsageError):  # another process works on it
                         attempt.enter_context(lock(trial.number))
-                        if journal.trials[trial.number].state.name == "RUNNING":
+                        is_left = not is_training(study.trial_folder(trial.number))  # by a worker whose driver has died
+                        if is_left and journal.trials[trial.number].state.name == "RUNNING":
                             number = trial.number
                             stack.enter_context(attempt.pop_all())
                             break
@@ -169,6 +170,8 @@ def run_trial(path: Path, number: int, *, reporter: StudyReporter | None = None,
         _evaluate(group, permissions)
     except KeyboardInterrupt:
         return TrialResult("running", stop_requested=True)
+    except DeepbotsError as error:
+        return TrialResult("failed", reason=error.full_message, stop_requested=stop_requested)
     follower.finish()
     return TrialResult("complete", tuple(_seed_score(study, group, follower.solved, seed) for seed in record.seeds), None, stop_requested)
 

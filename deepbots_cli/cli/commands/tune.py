@@ -195,6 +195,7 @@ class _Display(StudyReporter):
         self._study, self._quiet, self._best = study, quiet, ""
         self._line = terminal.LiveLine() if not quiet else None
         self._trial = self._seed = ""
+        self._noted: set[str] = set()
         record = study.record
         if not quiet:
             keys = ", ".join(f"{name} = {space}" for name, space in record.search.items())
@@ -207,7 +208,12 @@ class _Display(StudyReporter):
                 terminal.note(f"note: {', '.join(task)} may change the task itself; each trial is evaluated in its own task")
 
     def note(self, text: str) -> None:
-        """Notes of single trainings are the same for each."""
+        """A note of a training, each once, without how to continue this training."""
+        words = text.partition(";")[0]
+        if not self._quiet and words not in self._noted:
+            self._noted.add(words)
+            self.stop()
+            terminal.note(f"note: {words}")
 
     def begin_trial(self, trial: StudyTrial) -> None:
         self._trial = f"trial {trial.number}: {_settings(trial.values)}"
