@@ -13,12 +13,13 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.insight.study import StudyReport
 from deepbots_cli.learning import trials
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.listing import list_runs, read_listed
 from deepbots_cli.learning.run import RunRecord
-from deepbots_cli.learning.study import Study, create_study
-from deepbots_cli.learning.trials import next_trial, run_study, score
+from deepbots_cli.learning.study import SeedScore, Study, TrialResult, create_study
+from deepbots_cli.learning.trials import end_trial, next_trial, run_study, score
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.source import Source
 
@@ -215,3 +216,37 @@ def test_a_damaged_journal_is_refused_in_one_sentence(file: Path, tmp_path: Path
         journal.write(damage + '{"op_code":4,"worker_id":"x","study_id":0}\n')
     with pytest.raises(UsageError, match=r"journal.log is damaged"):
         study.trials()
+
+
+@pytest.fixture(scope="module")
+def told(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Study:
+    """A study of twelve trials whose scores depend on the learning rate alone; nothing was trained."""
+    study = made(file, tmp_path_factory.mktemp("studies") / "told", trials=12, seeds=(0, 1))
+    journal = study.connect()
+    for number in range(12):
+        with next_trial(study, journal) as taken:
+            assert taken == number
+            rate = float(study.trial(journal, number).values["train.learning_rate"])
+            scores = tuple(SeedScore(seed, 0.1 + 100 * abs(rate - 2e-3) * (1 + seed / 10), 100, 200.0, None) for seed in (0, 1))
+            end_trial(journal, number, TrialResult("failed", reason="it diverged") if number == 5 else TrialResult("complete", scores))
+    return study
+
+
+def test_importance_has_a_value_for_each_seed_and_names_the_key_that_matters(told: Study) -> None:
+    report = StudyReport.read(told.path)
+    assert report.importances is not None
+    assert [len(values) for values in report.importances.values()] == [2, 2]
+    rate, angle = (sum(values) for values in report.importances.values())
+    assert rate > angle
+    assert report.result.startswith(f"best: trial {report.ranked[0].number} with train.learning_rate: ")
+
+
+@pytest.mark.slow
+def test_the_report_of_a_study_is_one_page_with_its_trials(told: Study, tmp_path: Path) -> None:
+    target = tmp_path / "told.html"
+    assert main(["report", str(told.path), "-o", str(target), "--figures", str(tmp_path / "figures")]) == 0
+    assert {path.stem for path in (tmp_path / "figures").iterdir()} == {"history", "importance", "slices"}
+    page = target.read_text()
+    assert page.count("<picture>") == 3
+    assert "it diverged" in page
+    assert "http" not in page.replace("http-equiv", "").replace("http://www.w3.org", "")

@@ -287,6 +287,8 @@ def _show(study: Study, *, done: bool, as_json: bool) -> None:
         first = next((trial for trial in ranked if trial.number == 0 and study.record.present), None)
         own = f"; the values of the scenario itself: {first.score:.4g}" if first is not None and first.score is not None else ""
         lines.append(f"best: trial {best.number}, score {best.score:.4g}{own}")
+    if done and counts["running"]:
+        lines.append(f"another process still trains {counts['running']} of them; this table shows what is complete")
     data = {
         "study": study.path,
         "objective": study.record.objective,
