@@ -56,8 +56,8 @@ def whole_number(minimum: int = 1, maximum: int | None = None) -> Callable[[str 
 
 ADVANCED = "Advanced"
 """The group of options that few need, and of those that are dangerous; it is the last in the help."""
-EPISODES, SCENARIO, PROCESSES, OUTPUT = "Episodes", "Scenario", "Processes", "Output"
-"""Groups of options: which episodes run and who acts, what is changed in the scenario, which processes work, and what is written where."""
+EPISODES, SCENARIO, OUTPUT = "Episodes", "Scenario", "Output"
+"""Groups of options: which episodes run and who acts, what is changed in the scenario, and what is written where."""
 
 
 def option(usage: str, help: str, group: str | None = None, **settings: Any) -> Any:
@@ -209,10 +209,10 @@ Engine = Annotated[
         callback=known_engine,
     ),
 ]
-Workers = Annotated[int | None, integer("--workers N", "Use N processes of this machine.", 1, 1024, PROCESSES)]
+Workers = Annotated[int | None, integer("--workers N", "Use N processes of this machine.", 1, 1024, ADVANCED)]
 ClusterAddress = Annotated[
     str | None,
-    option("--cluster ADDRESS", "Use the Ray cluster at HOST:PORT, or with `auto` the one of this machine.", PROCESSES),
+    option("--cluster ADDRESS", "Use the Ray cluster at HOST:PORT, or with `auto` the one of this machine.", ADVANCED),
 ]
 EngineOrRun = Annotated[
     str | None,

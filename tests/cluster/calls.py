@@ -20,3 +20,7 @@ def lose(item: int, attempt: Attempt) -> int:
     if item == 1 or (item == 0 and attempt.number == 1):
         os.kill(os.getpid(), signal.SIGKILL)
     return attempt.number
+
+
+def priority(item: int, attempt: Attempt) -> int:
+    return os.nice(0)

@@ -27,7 +27,7 @@ from deepbots_cli.learning.group import GroupTraining
 from deepbots_cli.learning.report import GroupProgressReporter, TrainingProgress, to_json
 from deepbots_cli.learning.run import TrainingResult
 from deepbots_cli.learning.spread import ONE_BY_ONE, Watcher, results
-from tests.cluster.calls import lose, square
+from tests.cluster.calls import lose, priority, square
 
 pytest.importorskip("ray")
 SEEDS = (0, 1, 2)
@@ -69,6 +69,11 @@ def test_results_and_errors_come_in_the_order_of_the_items(cluster: Cluster) -> 
     assert list(results(cluster.map(square, range(3)))) == [0, 1, 4]
     *squares, error, last = cluster.map(square, range(5))
     assert (squares, str(error), last) == ([0, 1, 4], "there is no square of 3", 16)
+
+
+def test_workers_have_our_priority_and_leave_us_our_handler_of_sigterm(cluster: Cluster) -> None:
+    assert list(cluster.map(priority, [0])) == [os.nice(0)]
+    assert "ray" not in str(getattr(signal.getsignal(signal.SIGTERM), "__module__", ""))
 
 
 def test_a_worker_with_another_version_or_without_a_file_is_refused(
