@@ -3,6 +3,7 @@
 fields.py       field types: what a single value may be, and what the compiler reads of it
 base.py         Section, the base of the models; unions, sizes; the shape of an annotation, and walking a scenario by shapes;
                 what is said of a key: descriptions, units, defaults, examples
+search.py       the search spaces of `tune`
 world.py sensors.py actuators.py training.py
                 sections
 scenario.py     Scenario, the whole file: robots, messages, the task

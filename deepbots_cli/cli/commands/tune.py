@@ -89,18 +89,19 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Search for better values of a scenario: hyperparameters, or parameters of the task.
+    """Search for better values of a scenario.
 
-    A trial trains the scenario with one set of values, once for each seed, and evaluates the best models. The values of the next trial
-    follow from the scores so far (TPE, by Optuna). The first trial has the values of the scenario itself, where they are in the ranges.
-    A trial whose evaluations during the training are worse than the median of other trials ends early.
+    The values are hyperparameters, or parameters of the task. A trial trains the scenario with one set of values, once for each seed,
+    and evaluates the best models. The values of the next trial follow from the scores so far (TPE, by Optuna). The first trial has the
+    values of the scenario itself, where they are in the ranges. A trial whose evaluations during the training are worse than the median
+    of other trials ends early.
 
     Values are a range, `1e-4..1e-2` or `0.5..1.5m`, or choices, `64 | 128` or `[[64, 64], [10, 10]]`. `:log` behind a range draws values by
     their logarithm. A key that takes whole numbers gets whole numbers. The section `tune` of the scenario has the same settings.
 
     \b
       deepbots tune cartpole --param train.learning_rate=1e-4..1e-2:log --trials 20 --seeds 3
-      deepbots tune mine.yaml --param fall_angle=10..20deg --param train.network.activation='tanh | relu'
+      deepbots tune mine.yaml --param fall_angle=10..20deg --param train.network.activation='tanh|relu'
       deepbots tune mine.yaml
       deepbots tune --resume runs/cartpole-tune-1 --trials 40
       deepbots tune --resume runs/cartpole-tune-1 --apply mine.yaml
