@@ -7,7 +7,6 @@ import os
 import pickle
 import re
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -15,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_cluster_shards import outcome
+from test_cluster_shards import children, outcome
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
@@ -114,11 +113,8 @@ def test_every_error_passes_from_a_worker_to_this_process() -> None:
 
 
 def tasks() -> list[int]:
-    """The processes of calls: children of a raylet, which is a child of this process."""
-    processes = subprocess.run(["ps", "-eo", "pid=,ppid=,args="], capture_output=True, text=True, check=True).stdout.splitlines()
-    parents = {int(pid): int(parent) for pid, parent, *_ in map(str.split, processes)}
-    found = [int(line.split()[0]) for line in processes if "ray::perform" in line and "defunct" not in line]
-    return sorted(pid for pid in found if parents.get(parents[pid]) == os.getpid())
+    """The processes of calls."""
+    return children("ray::perform")
 
 
 def act_at(monkeypatch: pytest.MonkeyPatch, steps: int, times: int, act: Callable[[], object]) -> list[object]:

@@ -56,9 +56,15 @@ def trained(name: str, folder: Path, placement: Placement, shards: int = 2, prog
 
 
 def workers() -> list[int]:
-    """The processes of shards."""
-    found = subprocess.run(["pgrep", "-f", "ray::ShardWorker"], capture_output=True, text=True, check=False)
-    return [int(pid) for pid in found.stdout.split()]
+    """The processes of shards: children of a raylet, which is a child of this process."""
+    return children("ray::ShardWorker")
+
+
+def children(name: str) -> list[int]:
+    processes = subprocess.run(["ps", "-eo", "pid=,ppid=,args="], capture_output=True, text=True, check=True).stdout.splitlines()
+    parents = {int(pid): int(parent) for pid, parent, *_ in map(str.split, processes)}
+    found = [int(line.split()[0]) for line in processes if name in line and "defunct" not in line]
+    return sorted(pid for pid in found if parents.get(parents[pid]) == os.getpid())
 
 
 class At(Reporter):
