@@ -182,11 +182,16 @@ def test_a_misspelled_scenario_is_suggested(deepbots):
     [
         (("pygls",), "everything works except what needs a missing extra: the language server"),
         ((), "everything works"),
-        (("torch",), "everything works except what needs a missing extra: training, MaskablePPO, RecurrentPPO and TQC, policies as ONNX"),
+        (
+            ("torch",),
+            "everything works except what needs a missing extra: training, MaskablePPO, RecurrentPPO and TQC, policies as ONNX,"
+            " --workers and --cluster, searches by tune",
+        ),
         (
             ("mujoco",),
             "everything works except what needs a missing extra:"
-            " simulation, training, MaskablePPO, RecurrentPPO and TQC, the page of view and play, policies as ONNX",
+            " simulation, training, MaskablePPO, RecurrentPPO and TQC, the page of view and play, policies as ONNX,"
+            " --workers and --cluster, searches by tune",
         ),
     ],
 )

@@ -47,7 +47,7 @@ def test_the_visit_hands_out_kinds_with_what_they_mean() -> None:
     found = {(place, type(kind)): (kind, value) for place, kind, value in visit_values(read(BY_NAME["cartpole"]))}
     assert found[("world", "timestep"), Quantity] == (Quantity("time", minimum=0, exclusive=True, usual_unit="ms"), "32 ms")
     assert found[("reward", "alive"), Expression] == (Expression("reward"), 1)
-    assert found[("observation", "speed"), Range] == (Range("any", auto=True), "-0.8 .. 0.8 m/s")
+    assert found[("observation", "speed"), Range] == (Range("any", auto=True, vector=True), "-0.8 .. 0.8 m/s")
     assert found[("observation", "speed"), Reference] == (Reference("value"), "speed")
     assert found[("robots", "cart", "actuators", "wheels", "joints", 0), Reference] == (Reference("joints"), "wheel_*")
     assert found[("reset", "joints", "cart.pole_hinge"), Quantity] == (Quantity("angle or length", known="episode"), "uniform(-1 .. 1 deg)")

@@ -53,6 +53,7 @@ _EXTRAS = {
     "view": "the page of view and play",
     "editor": "the language server",
     "export": "policies as ONNX",
+    "cluster": "--workers and --cluster",
     "tune": "searches by tune",
 }
 """What each extra is for. The metadata of the installation name its packages."""
