@@ -33,12 +33,6 @@ SEEDS = (0, 1, 2)
 
 
 @pytest.fixture(scope="module")
-def cluster() -> Iterator[Cluster]:
-    with Cluster(workers=2) as found:
-        yield found
-
-
-@pytest.fixture(scope="module")
 def scenario() -> Compiled:
     return api.compile("cartpole", overrides=["train.n_steps=64"])
 
@@ -56,6 +50,7 @@ def outcomes(group: Path) -> list[Any]:
     return [outcome(run) for run in sorted(group.glob("seed-*"))]
 
 
+@pytest.mark.slow
 def test_trainings_on_workers_give_the_same(cluster: Cluster, scenario: Compiled, tmp_path: Path) -> None:
     train_group(scenario, SEEDS[:2], group=tmp_path / "here", total_timesteps=800)
     found = train_group(scenario, SEEDS[:2], group=tmp_path / "workers", total_timesteps=800, spread=cluster)

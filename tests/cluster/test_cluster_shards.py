@@ -7,7 +7,7 @@ import os
 import re
 import signal
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,12 +29,6 @@ CASES = {
     "TD3, curriculum": ("find_ball_random", ["train.environments=4", "train.learning_starts=400"], 1_200),
     "SAC": ("cartpole_continuous", ["train.environments=4"], 2_000),
 }
-
-
-@pytest.fixture(scope="module")
-def cluster() -> Iterator[Cluster]:
-    with Cluster(workers=2) as found:
-        yield found
 
 
 def outcome(folder: Path) -> tuple[Any, ...]:
