@@ -146,31 +146,31 @@ class RemoteShards:
         shared = ray.put(order)
         answers: dict[int, Any] = {}
         losses: Counter[int] = Counter()
-        waiting: dict[Any, int] = {}
+        waiting: dict[Any, tuple[int, int]] = {}
 
         def ask(shard: int, *, anew: bool) -> None:
+            home = self._home_of(shard)
             beginning = Beginning(self._worlds[shard], episodes[shard], self._permissions) if anew else None
-            waiting[self._worker_of(shard).work.remote(shard, beginning, shared, memories[shard])] = shard
+            waiting[self._workers[home].work.remote(shard, beginning, shared, memories[shard])] = (shard, home)
 
         new, self._new = self._new, set()
         for shard in range(len(self._worlds)):
             ask(shard, anew=shard in new)
         while waiting:
             (ready, *_), _ = ray.wait(list(waiting))
-            shard = waiting.pop(ready)
+            shard, worker = waiting.pop(ready)
             try:
                 answer = ray.get(ready)
             except ray.exceptions.RayTaskError:
                 raise
             except ray.exceptions.RayError as error:
-                lost = self._homes[shard]
-                unfinished = sorted([shard, *(other for other in waiting.values() if self._homes[other] == lost)])
-                waiting = {call: other for call, other in waiting.items() if other not in unfinished}
+                unfinished = sorted([shard, *(other for other, home in waiting.values() if home == worker)])
+                waiting = {call: (other, home) for call, (other, home) in waiting.items() if home != worker}
                 losses[unfinished[0]] += 1  # a worker works on its shards in the order of their numbers
-                self._forget(lost)
+                self._forget(worker)
                 if losses[unfinished[0]] == MAX_LOSSES:
-                    raise self._too_many_losses(unfinished[0], order, lost) from error
-                self._find_homes()
+                    raise self._too_many_losses(unfinished[0], order, worker) from error
+                self._find_homes(balance=False)  # the other shards are at work
                 for other in unfinished:
                     self._new.discard(other)
                     ask(other, anew=True)
@@ -182,20 +182,23 @@ class RemoteShards:
 
     # Workers
 
-    def _worker_of(self, shard: int) -> Any:
+    def _home_of(self, shard: int) -> int:
         home = self._homes[shard]
         if home is None:
             raise RuntimeError(f"shard {shard} has no worker")
-        return self._workers[home]
+        return home
 
-    def _find_homes(self) -> None:
-        """Give each shard a worker: new workers start while the cluster has room, and all have about as many shards."""
+    def _find_homes(self, *, balance: bool = True) -> None:
+        """Give each shard without a worker one: new workers start while the cluster has room.
+
+        With `balance`, shards of the busiest workers move, until all have about as many.
+        """
         self._start_workers()
         load = Counter(dict.fromkeys(self._workers, 0))
         load.update(home for home in self._homes if home is not None)
         for shard, home in enumerate(self._homes):
             busiest, idlest = max(load, key=lambda worker: load[worker]), min(load, key=lambda worker: load[worker])
-            if home is None or (home == busiest and load[busiest] > load[idlest] + 1):
+            if home is None or (balance and home == busiest and load[busiest] > load[idlest] + 1):
                 if home is not None:
                     load[home] -= 1
                 load[idlest] += 1
@@ -246,13 +249,13 @@ class RemoteShards:
         if digest != self._run.digest:
             raise UsageError(f"the worker on {host} compiles the scenario to a different program; install the same version of deepbots")
 
-    def _forget(self, lost: int | None) -> None:
+    def _forget(self, lost: int) -> None:
         """A worker is lost: its shards have no home."""
-        if lost is not None and self._workers.pop(lost, None) is not None:
+        if self._workers.pop(lost, None) is not None:
             self._note(f"worker {lost} was lost; its shards continue on another worker")
         self._homes = [None if home == lost else home for home in self._homes]
 
-    def _too_many_losses(self, shard: int, order: Order | None, worker: int | None) -> RunError:
+    def _too_many_losses(self, shard: int, order: Order | None, worker: int) -> RunError:
         steps = 0 if order is None else order.begun
         error = RunError(
             f"shard {shard} ended its worker {MAX_LOSSES} times in the steps after {steps:,}; {self._log(worker)} has its last output"
@@ -260,5 +263,5 @@ class RemoteShards:
         error.add_note(f"to repeat these steps in one process: deepbots train --resume {quote(str(self._run.path))}")
         return error
 
-    def _log(self, worker: int | None) -> Path:
+    def _log(self, worker: int) -> Path:
         return self._run.path / "workers" / f"{worker}.log"

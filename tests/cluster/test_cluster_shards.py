@@ -110,6 +110,13 @@ def test_an_address_at_which_nobody_answers_is_refused() -> None:
 
 
 @pytest.mark.slow
+def test_so_do_workers_with_several_shards(cluster: Cluster, tmp_path: Path) -> None:
+    kill = At(400, lambda: os.kill(workers()[0], signal.SIGKILL))
+    assert trained("PPO", tmp_path / "workers", cluster, 4, kill) == trained("PPO", tmp_path / "here", THIS_PROCESS, 4)
+    assert kill.notes
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("shards", [2, 4])
 @pytest.mark.parametrize("name", list(CASES))
 def test_so_do_all_algorithms(cluster: Cluster, tmp_path: Path, name: str, shards: int) -> None:
