@@ -22,7 +22,7 @@ import deepbots_cli
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning.run import Run, versions
-from deepbots_cli.rollout.collector import Harvest, Order, RunningEpisode
+from deepbots_cli.rollout.collector import Evaluated, EvaluationOrder, Harvest, Order, RunningEpisode
 from deepbots_cli.rollout.worlds import Array
 
 MAX_LOSSES = 3
@@ -60,8 +60,8 @@ class ShardWorker:
             digest = ""
         return {"host": socket.gethostname(), **library_versions(), "digest": digest}
 
-    def work(self, number: int, beginning: Beginning | None, order: Order | None, memory: Mapping[str, Array]) -> Any:
-        """Make a shard if there is a `beginning`, and return the observations, or the harvest for an order.
+    def work(self, number: int, beginning: Beginning | None, order: Order | EvaluationOrder | None, memory: Mapping[str, Array]) -> Any:
+        """Make a shard if there is a `beginning`, and return the observations, or the answer to an order.
 
         An error that ends the training is returned, since Ray would add a traceback to it.
         """
@@ -79,7 +79,9 @@ class ShardWorker:
                 seen = self._shards[number].begin(beginning.episodes)
             if order is None:
                 return seen
-            return replace(self._shards[number].collect(order, memory), cpu_seconds=time.process_time() - began)
+            shard = self._shards[number]
+            answer = shard.evaluate(order) if isinstance(order, EvaluationOrder) else shard.collect(order, memory)
+            return replace(answer, cpu_seconds=time.process_time() - began)
         except DeepbotsError as error:
             return error
 
@@ -130,6 +132,9 @@ class RemoteShards:
     def collect(self, order: Order, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]) -> list[Harvest]:
         return self._work(order, memories, episodes)
 
+    def evaluate(self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Evaluated]:
+        return self._work(order, [{} for _ in self._worlds], episodes)
+
     def close(self) -> None:
         import ray
 
@@ -137,7 +142,10 @@ class RemoteShards:
             ray.kill(worker)
 
     def _work(
-        self, order: Order | None, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]
+        self,
+        order: Order | EvaluationOrder | None,
+        memories: Sequence[Mapping[str, Array]],
+        episodes: Sequence[Sequence[RunningEpisode]],
     ) -> list[Any]:
         """The answers of all shards, each on its worker. Lost workers are replaced."""
         import ray
@@ -255,12 +263,11 @@ class RemoteShards:
             self._note(f"worker {lost} was lost; its shards continue on another worker")
         self._homes = [None if home == lost else home for home in self._homes]
 
-    def _too_many_losses(self, shard: int, order: Order | None, worker: int) -> RunError:
-        steps = 0 if order is None else order.begun
-        error = RunError(
-            f"shard {shard} ended its worker {MAX_LOSSES} times in the steps after {steps:,}; {self._log(worker)} has its last output"
-        )
-        error.add_note(f"to repeat these steps in one process: deepbots train --resume {quote(str(self._run.path))}")
+    def _too_many_losses(self, shard: int, order: Order | EvaluationOrder | None, worker: int) -> RunError:
+        steps = order.begun if isinstance(order, Order) else 0
+        when = "in an evaluation" if isinstance(order, EvaluationOrder) else f"in the steps after {steps:,}"
+        error = RunError(f"shard {shard} ended its worker {MAX_LOSSES} times {when}; {self._log(worker)} has its last output")
+        error.add_note(f"to repeat this in one process: deepbots train --resume {quote(str(self._run.path))}")
         return error
 
     def _log(self, worker: int) -> Path:

@@ -31,7 +31,9 @@ from deepbots_cli.learning.report import LINE_INTERVAL_S, Reporter, TrainingProg
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Episode
-from deepbots_cli.rollout.policies import play_batch, play_episodes
+from deepbots_cli.rollout.collector import ShardedCollector
+from deepbots_cli.rollout.episode import OnEpisode
+from deepbots_cli.rollout.policies import Predictor, play_batch, play_episodes
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
 
@@ -83,17 +85,49 @@ def signals_handled(interruption: Interruption) -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
 
+class EvaluationWorld:
+    """A world for the evaluations during a training, from starts that neither training nor a later evaluation has."""
+
+    def __init__(self, build: WorldFactory, seed: int, run: Run | None = None) -> None:
+        self._build, self._run = build, run
+        self.seeds: Sequence[int] = [derive_seed(seed, "trial", k) for k in range(CONFIRMATION_EPISODES)]
+        self._scenario: Program | None = None
+        self._world: FailureRecorder | None = None
+
+    def play(
+        self,
+        policy: Predictor,
+        scenario: Program,
+        count: int,
+        stage: str | None,
+        numbers: Sequence[int] | None = None,
+        on_episode: OnEpisode | None = None,
+    ) -> list[Episode]:
+        """The episodes of an evaluation of `count` episodes in `scenario`, which is that of `stage`, or those with these `numbers`."""
+        if self._world is None or scenario is not self._scenario:
+            self.close()
+            self._world = FailureRecorder(self._build(scenario), self._run, scenario, seeds=self.seeds, stage=stage)
+            self._scenario = scenario
+        return play_episodes(policy, [self._world], self.seeds[:count], deterministic=True, numbers=numbers, on_episode=on_episode)
+
+    def close(self) -> None:
+        if self._world is not None:
+            self._world.close()
+        self._world = None
+
+
 class Evaluator:
-    """Evaluates the current policy without noise, in worlds of its own, from starts that neither training nor a later evaluation has."""
+    """Evaluates the current policy without noise: in a batch of worlds if engine and scenario support it, otherwise in the shards of the
+    training if it has several, otherwise in a world of its own."""
 
     def __init__(self, build: WorldFactory, seed: int, run: Run | None = None) -> None:
         self.steps = 0
         """Those of all evaluations."""
-        self._build, self._run = build, run
+        self.shards: ShardedCollector | None = None
+        self._build = build
         self._engine = "" if run is None else run.record.engine
-        self._seeds: Sequence[int] = [derive_seed(seed, "trial", k) for k in range(CONFIRMATION_EPISODES)]
+        self._world = EvaluationWorld(build, seed, run)
         self._scenario: Program | None = None
-        self._world: FailureRecorder | None = None
         self._batch: BatchSupervisor | None = None
 
     def run_episodes(
@@ -107,9 +141,10 @@ class Evaluator:
         """The episodes of an evaluation in `scenario`, which is that of `stage`. The training's random numbers stay as they were.
 
         Raises:
-            KeyboardInterrupt: Somebody wants the training to end; it goes on from its last checkpoint, before this evaluation.
+            KeyboardInterrupt: Somebody wants the training to end; it goes on from its last checkpoint, before this evaluation. Shards
+                complete their part first.
         """
-        seeds, state = self._seeds[:count], torch.get_rng_state()
+        seeds, state = self._world.seeds[:count], torch.get_rng_state()
 
         def look(done: int = 0, of: int = count) -> None:
             if interruption.requested:
@@ -123,20 +158,20 @@ class Evaluator:
                 self._batch = build_batch(scenario, EVALUATION_EPISODES, engine=self._engine)
         try:
             found = None if self._batch is None else play_batch(model, self._batch, seeds, on_episode=look)
+            if found is None and self.shards is not None:
+                found = self.shards.evaluate(model.actor(), count, stage)
             if found is None:
-                if self._world is None:
-                    self._world = FailureRecorder(self._build(scenario), self._run, scenario, seeds=self._seeds, stage=stage)
-                found = play_episodes(model, [self._world], seeds, deterministic=True, on_episode=look)
+                found = self._world.play(model, scenario, count, stage, on_episode=look)
         finally:
             torch.set_rng_state(state)
         self.steps += sum(episode.length for episode in found)
         return found
 
     def close(self) -> None:
-        for worlds in (self._world, self._batch):
-            if worlds is not None:
-                worlds.close()
-        self._world = self._batch = None
+        self._world.close()
+        if self._batch is not None:
+            self._batch.close()
+        self._batch = None
 
 
 OnEvaluation = Callable[[Path], str | None]

@@ -19,15 +19,24 @@ import torch
 from deepbots_cli.api import build_batch
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import learner as learners
+from deepbots_cli.learning.callbacks import EvaluationWorld
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch
 from deepbots_cli.learning.failures import BatchFailureRecorder, FailureRecorder
-from deepbots_cli.learning.learner import Setup
+from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout import Episode
-from deepbots_cli.rollout.collector import Harvest, LocalCollector, Order, PolicyActor, RunningEpisode, ShardPool
+from deepbots_cli.rollout.collector import (
+    Evaluated,
+    EvaluationOrder,
+    Harvest,
+    LocalCollector,
+    Order,
+    RunningEpisode,
+    ShardPool,
+)
 from deepbots_cli.rollout.worlds import Array, BatchWorlds, Worlds
 from deepbots_cli.runtime.streams import derive_seed
 
@@ -132,7 +141,8 @@ class Shard:
         self._ended: list[tuple[int, Mapping[str, Any]]] = []
         self._notes: list[str] = []
         self._stage, self._next_episode = 0, 1
-        self._actor: PolicyActor | None = None
+        self._policy: Learner | None = None
+        self._evaluation = EvaluationWorld(build, run.record.seed, run)
 
     def begin(self, episodes: Sequence[RunningEpisode]) -> Any:
         """Bring the worlds to the end of these episodes; the observations."""
@@ -148,13 +158,13 @@ class Shard:
             note=self._notes.append,
         )
         self._collector = LocalCollector(worlds)
-        if self._actor is None:
+        if self._policy is None:
             self._action_space = worlds.action_space
             with _random_numbers_kept():
-                self._actor = self._make_actor(worlds)
+                self._policy = self._make_policy(worlds)
         return self._collector.repeat([episode.history for episode in episodes])
 
-    def _make_actor(self, worlds: Worlds) -> PolicyActor:
+    def _make_policy(self, worlds: Worlds) -> Learner:
         """A copy of the policy, for the rows of these worlds."""
         setup = Setup(
             self._training,
@@ -164,27 +174,40 @@ class Shard:
             longest_episode=longest_episode(self._run.program),
             rows=worlds.rows,
         )
-        return learners.create(setup).actor()
+        return learners.create(setup)
 
     def collect(self, order: Order, memory: Mapping[str, Array]) -> Harvest:
         """Collect experience for an order; `memory` is that of the rows of this shard."""
-        if self._actor is None:
-            raise RuntimeError("a shard collects after it has begun")
+        actor = self._begun().actor()
         self._stage, self._next_episode = order.stage, order.next_episode
         self._ended.clear()
         self._notes.clear()
-        self._actor.load(order.parameters)
-        self._actor.remember(memory)
+        actor.load(order.parameters)
+        actor.remember(memory)
         with _random_numbers_kept():
             self._seed(derive_seed(self._run.record.seed, "shard", self._number, order.begun))
-            self._actor.begin()
-            fragment = self._collector.collect(self._actor, order.steps, with_masks=order.with_masks)
+            actor.begin()
+            fragment = self._collector.collect(actor, order.steps, with_masks=order.with_masks)
         if fragment is None:
             raise RuntimeError("nothing can end a fragment of a shard")
         worlds, rows = self._collector.worlds, self._collector.rows // len(self._numbers)
         has_begun = fragment.starts[1:].any(axis=0) | fragment.following_starts
         begun = {world: (worlds.start_of(world), self._stages[world]) for world in np.flatnonzero(has_begun[::rows]).tolist()}
-        return Harvest(fragment, self._actor.memory(), list(self._ended), begun, list(self._notes))
+        return Harvest(fragment, actor.memory(), list(self._ended), begun, notes=list(self._notes))
+
+    def evaluate(self, order: EvaluationOrder) -> Evaluated:
+        """Play the episodes of this shard: one of `shards`, in turn."""
+        policy = self._begun()
+        policy.actor().load(order.parameters)
+        numbers = range(self._number, order.episodes, self._training.shards)
+        with _random_numbers_kept():
+            played = self._evaluation.play(policy, self._run.program.variant(None, order.stage), order.episodes, order.stage, numbers)
+        return Evaluated(dict(zip(numbers, played, strict=True)))
+
+    def _begun(self) -> Learner:
+        if self._policy is None:
+            raise RuntimeError("a shard acts after it has begun")
+        return self._policy
 
     def _seed(self, seed: int) -> None:
         """Seed all generators that a policy draws from; no shard needs to keep their states between two fragments."""
@@ -195,6 +218,7 @@ class Shard:
 
     def close(self) -> None:
         self._stack.close()
+        self._evaluation.close()
 
 
 @contextmanager
@@ -220,6 +244,9 @@ class LocalShards:
 
     def collect(self, order: Order, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]) -> list[Harvest]:
         return [shard.collect(order, memory) for shard, memory in zip(self._shards, memories, strict=True)]
+
+    def evaluate(self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Evaluated]:
+        return [shard.evaluate(order) for shard in self._shards]
 
     def close(self) -> None:
         for shard in self._shards:

@@ -51,7 +51,7 @@ from deepbots_cli.learning.shards import THIS_PROCESS, Placement
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout import Episode
-from deepbots_cli.rollout.collector import Collector, Harvest, LocalCollector, ShardedCollector
+from deepbots_cli.rollout.collector import Answer, Collector, LocalCollector, ShardedCollector
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.rollout.worlds import Worlds
 from deepbots_cli.runtime.streams import derive_seed
@@ -322,6 +322,7 @@ def run_training(
             stack.callback(episode_log.close)
             counter = TrainingCounter(callback, episode_log, reporter)
             collector = make_collector(stack, run, training, build, counter, checkpoints, reporter, placement)
+            evaluator.shards = collector if isinstance(collector, ShardedCollector) else None
             learner = _create(training, run.program, collector, derive_seed(run.record.seed, "policy"))
             learner.log = log = TrainingLog(run)
             callback.attach(learner, log)
@@ -411,9 +412,9 @@ class TrainingCounter:
         if is_present and curriculum.add(episode, statistics.steps, statistics.episodes):
             self._callback.begin_stage()
 
-    def on_harvest(self, harvest: Harvest) -> None:
-        self._statistics.cpu_seconds_before += harvest.cpu_seconds
-        for note in harvest.notes:
+    def on_answer(self, answer: Answer) -> None:
+        self._statistics.cpu_seconds_before += answer.cpu_seconds
+        for note in answer.notes:
             self._reporter.note(note)
 
 

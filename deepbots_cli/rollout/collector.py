@@ -227,24 +227,55 @@ class Order:
 
 
 @dataclass(frozen=True)
-class Harvest:
-    """What a shard returns for an order.
+class EvaluationOrder:
+    """An evaluation of the policy, which the shards divide among them.
+
+    Attributes:
+        parameters: Those of the actor.
+        episodes: The number of episodes.
+        stage: The name of the stage of the curriculum; None without stages.
+    """
+
+    parameters: Mapping[str, Any]
+    episodes: int
+    stage: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """What a shard returns.
+
+    Attributes:
+        notes: What the user should know, such as lost episodes.
+        cpu_seconds: CPU time, if the shard runs in another process.
+    """
+
+    notes: Sequence[str] = ()
+    cpu_seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class Evaluated(Answer):
+    """The episodes of an evaluation that a shard has played, by their numbers."""
+
+    episodes: Mapping[int, Episode]
+
+
+@dataclass(frozen=True)
+class Harvest(Answer):
+    """What a shard has collected for an order.
 
     Attributes:
         fragment: The experience of its rows.
         memory: That of its actor after the fragment.
         ended: Of each ending of the fragment: the stage of the episode, and what it drew.
         begun: Of each world that has begun another episode, by its number in the shard: how this one began, and its stage.
-        notes: What the user should know, such as lost episodes.
-        cpu_seconds: CPU time, if the shard runs in another process.
     """
 
     fragment: Fragment
     memory: Mapping[str, Array]
     ended: Sequence[tuple[int, Mapping[str, Any]]]
     begun: Mapping[int, tuple[int | dict[str, Any], int]]
-    notes: Sequence[str] = ()
-    cpu_seconds: float = 0.0
 
 
 class RunningEpisode(NamedTuple):
@@ -268,6 +299,9 @@ class ShardPool(Protocol):
     def collect(self, order: Order, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]) -> list[Harvest]:
         """The harvest of each shard, from `episodes` on, which are those after the last harvest."""
 
+    def evaluate(self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Evaluated]:
+        """The part of each shard in an evaluation; `episodes` are those after the last harvest, and do not change."""
+
 
 class ShardListener(Protocol):
     """The training, which counts what shards have collected."""
@@ -281,8 +315,8 @@ class ShardListener(Protocol):
     def on_episode(self, episode: Episode, stage: int, drawn: Mapping[str, Any]) -> None:
         """Called for each episode, in the order of steps and rows."""
 
-    def on_harvest(self, harvest: Harvest) -> None:
-        """Called for each harvest, before its episodes are counted."""
+    def on_answer(self, answer: Answer) -> None:
+        """Called with each answer of a shard, before its episodes are counted."""
 
 
 class ShardedCollector:
@@ -345,11 +379,20 @@ class ShardedCollector:
         harvests = self._pool.collect(order, memories, self._by_shard(self.episodes))
         actor.remember({name: np.concatenate([harvest.memory[name] for harvest in harvests]) for name in memory})
         for harvest in harvests:
-            self._listener.on_harvest(harvest)
+            self._listener.on_answer(harvest)
         fragment = join([harvest.fragment for harvest in harvests])
         self._note_episodes(fragment, harvests)
         self._replay = self._steps(fragment, _details(harvests))
         return fragment
+
+    def evaluate(self, actor: PolicyActor, episodes: int, stage: str | None) -> list[Episode]:
+        """The episodes of an evaluation of the policy, in the order of their numbers."""
+        order = EvaluationOrder(actor.parameters(), episodes, stage)
+        found: dict[int, Episode] = {}
+        for answer in self._pool.evaluate(order, self._by_shard(self.episodes)):
+            self._listener.on_answer(answer)
+            found.update(answer.episodes)
+        return [found[number] for number in range(episodes)]
 
     def _note_episodes(self, fragment: Fragment, harvests: Sequence[Harvest]) -> None:
         """Keep how the running episode of each world began, and its actions."""

@@ -44,33 +44,34 @@ def play_episodes(
     seeds: Sequence[int],
     *,
     deterministic: bool,
+    numbers: Sequence[int] | None = None,
     on_episode: OnEpisode | None = None,
     until: StopCondition | None = None,
 ) -> list[Episode]:
-    """One episode from each seed, in the order of `seeds`.
+    """One episode from each seed, in the order of `seeds`, or only those with these `numbers`.
 
     Runs up to `FORWARD_BATCH_SIZE` worlds at a time; a policy that samples, or a world with several agents, uses only one. With `until`,
-    the result ends with the first episode for which it returns True. Episodes are in the order of `seeds`, so the result is the same for
-    any number of worlds.
+    the result ends with the first episode for which it returns True. An episode depends on its seed and its number only, so the result is
+    the same for any number of worlds, and for any division of the numbers.
     """
+    numbers = range(len(seeds)) if numbers is None else numbers
     on_episode, until = on_episode or (lambda done, of: None), until or (lambda episodes: False)
     episodes: list[Episode] = []
     if has_copies(worlds[0]):
         driver = PolicyDriver(policy, worlds[0], deterministic=deterministic)
-        for seed in seeds:
-            episodes.append(play(worlds[0], driver, Start(seed)))
-            on_episode(len(episodes), len(seeds))
+        for number in numbers:
+            episodes.append(play(worlds[0], driver, Start(seeds[number])))
+            on_episode(len(episodes), len(numbers))
             if until(episodes):
                 break
         return episodes
     together = min(len(worlds), FORWARD_BATCH_SIZE) if deterministic else 1
     forward = ForwardPass(worlds[0].observation_space, _choices(worlds[0]) if policy.takes_masks else None)
     finished: dict[int, Episode] = {}
-    for first in range(0, min(FORWARD_BATCH_SIZE, len(seeds)), together):
-        rows = range(first, min(first + together, FORWARD_BATCH_SIZE, len(seeds)))
-        lanes = [
-            EvaluationLane(world, row, range(row, len(seeds), FORWARD_BATCH_SIZE), seeds) for world, row in zip(worlds, rows, strict=False)
-        ]
+    by_row = [[number for number in numbers if number % FORWARD_BATCH_SIZE == row] for row in range(FORWARD_BATCH_SIZE)]
+    rows = [row for row, own in enumerate(by_row) if own]
+    for first in range(0, len(rows), together):
+        lanes = [EvaluationLane(world, row, by_row[row], seeds) for world, row in zip(worlds, rows[first : first + together], strict=False)]
         running = [lane for lane in lanes if lane.begin(forward)]
         while running:
             actions = forward.predict(policy, deterministic=deterministic)
@@ -78,17 +79,19 @@ def play_episodes(
                 episode = lane.step(actions[lane.row], forward)
                 if episode is not None:
                     finished[lane.number] = episode
-                    on_episode(len(finished), len(seeds))
-            if _complete(episodes, finished, until):
+                    on_episode(len(finished), len(numbers))
+            if _complete(episodes, finished, numbers, until):
                 return episodes
             running = [lane for lane in running if lane.number not in finished or lane.begin(forward)]
     return episodes
 
 
-def _complete(episodes: list[Episode], finished: dict[int, Episode], until: StopCondition) -> bool:
-    """Append the episodes that follow in the order of their numbers; whether they are enough."""
-    while (following := finished.get(len(episodes))) is not None:
-        episodes.append(following)
+def _complete(episodes: list[Episode], finished: dict[int, Episode], numbers: Sequence[int], until: StopCondition) -> bool:
+    """Append the episodes that follow in the order of `numbers`; whether they are enough."""
+    for number in numbers[len(episodes) :]:
+        if number not in finished:
+            break
+        episodes.append(finished[number])
         if until(episodes):
             return True
     return False
@@ -145,7 +148,7 @@ def play_batch(
                     begun.append(world)
                 else:
                     running.resting[world] = True
-            if _complete(episodes, finished, until):
+            if _complete(episodes, finished, range(len(seeds)), until):
                 return episodes
             if begun:
                 worlds.begin(begun, [seeds[numbers[world]] for world in begun])
