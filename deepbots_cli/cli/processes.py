@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -12,6 +13,11 @@ from deepbots_cli.learning.spread import ONE_BY_ONE, Spread
 
 if TYPE_CHECKING:
     from deepbots_cli.cluster import Cluster
+
+
+def available_cores() -> int:
+    """The number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def check_dividable(workers: int | None, address: str | None, count: int, reason: str) -> None:

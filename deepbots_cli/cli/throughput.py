@@ -63,15 +63,15 @@ class CallTimer:
         return result
 
 
-def counts(text: str) -> list[int]:
-    """The numbers of worlds in `1,16,64`.
+def counts(text: str, option: str = "--worlds") -> list[int]:
+    """The numbers in `1,16,64`.
 
     Raises:
         UsageError: One is no whole number from 1.
     """
     parts = text.split(",")
     if not all(part.isascii() and part.isdigit() and int(part) for part in parts):
-        raise UsageError(f"--worlds {text} is not a list of whole numbers from 1, such as 16,256")
+        raise UsageError(f"{option} {text} is not a list of whole numbers from 1, such as 1,2,4")
     return [int(part) for part in parts]
 
 

@@ -145,6 +145,11 @@ class Cluster:
         stack.callback(pool.close)
         return pool
 
+    @property
+    def is_on_this_machine(self) -> bool:
+        """Whether this process has started the workers."""
+        return self._address is None
+
     is_here = False
 
     def map(

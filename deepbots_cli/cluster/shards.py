@@ -49,7 +49,7 @@ class ShardWorker:
         from deepbots_cli.learning.sb3.algorithms import torch_settings
 
         torch_settings().__enter__()  # for the life of this process
-        self._path = run
+        self._path, self._number = run, number
         self._shards: dict[int, Any] = {}
 
     def describe(self) -> dict[str, str]:
@@ -81,7 +81,7 @@ class ShardWorker:
                 return seen
             shard = self._shards[number]
             answer = shard.evaluate(order) if isinstance(order, EvaluationOrder) else shard.collect(order, memory)
-            return replace(answer, cpu_seconds=time.process_time() - began)
+            return replace(answer, cpu_seconds=time.process_time() - began, worker=self._number)
         except DeepbotsError as error:
             return error
 

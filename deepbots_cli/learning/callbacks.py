@@ -224,6 +224,8 @@ class TrainingCallback:
         self.best: ModelRank | None = None
         self.confirmed = False
         """Whether the task was solved and an evaluation since then has shown that the networks of that moment solve it."""
+        self.evaluation_seconds = 0.0
+        """Those of this process, by the clock."""
         self.stopped_by: str | None = None
         """Who stopped the training after an evaluation."""
         self.defines_success = run.program.defines_success
@@ -313,11 +315,13 @@ class TrainingCallback:
         fits = self.evaluator.steps + EVALUATION_EPISODES * self.statistics.mean_length <= share * steps
         if not self.statistics.full or steps == self._evaluated_at or not fits:
             return
+        began = time.monotonic()
         scenario, stage = self.curriculum.scenario_of(self.curriculum.index), self.curriculum.name
         done = self.evaluator.run_episodes(self.learner, scenario, self.interruption, stage=stage)
         ends = self.statistics.solved_at is not None
         if ends and Summary.of_episodes(done).meets_solved(solved) and self.learner.confirms:
             done = self.evaluator.run_episodes(self.learner, scenario, self.interruption, CONFIRMATION_EPISODES, stage)
+        self.evaluation_seconds += time.monotonic() - began
         summary = Summary.of_episodes(done)
         self._evaluated_at = steps
         self.confirmed = ends and summary.meets_solved(solved)

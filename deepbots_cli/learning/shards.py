@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
+from time import perf_counter
 from typing import Any, Protocol
 
 import numpy as np
@@ -178,6 +179,7 @@ class Shard:
 
     def collect(self, order: Order, memory: Mapping[str, Array]) -> Harvest:
         """Collect experience for an order; `memory` is that of the rows of this shard."""
+        began, worlds_before = perf_counter(), self._collector.times.worlds
         actor = self._begun().actor()
         self._stage, self._next_episode = order.stage, order.next_episode
         self._ended.clear()
@@ -193,7 +195,8 @@ class Shard:
         worlds, rows = self._collector.worlds, self._collector.rows // len(self._numbers)
         has_begun = fragment.starts[1:].any(axis=0) | fragment.following_starts
         begun = {world: (worlds.start_of(world), self._stages[world]) for world in np.flatnonzero(has_begun[::rows]).tolist()}
-        return Harvest(fragment, actor.memory(), list(self._ended), begun, notes=list(self._notes))
+        seconds = perf_counter() - began, self._collector.times.worlds - worlds_before
+        return Harvest(fragment, actor.memory(), list(self._ended), begun, seconds, notes=list(self._notes))
 
     def evaluate(self, order: EvaluationOrder) -> Evaluated:
         """Play the episodes of this shard: one of `shards`, in turn."""

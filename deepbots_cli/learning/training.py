@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing, nullcontext, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from shlex import quote
@@ -51,11 +51,34 @@ from deepbots_cli.learning.shards import THIS_PROCESS, Placement
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout import Episode
-from deepbots_cli.rollout.collector import Answer, Collector, LocalCollector, ShardedCollector
+from deepbots_cli.rollout.collector import Answer, Collector, CollectTimes, LocalCollector, ShardedCollector
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.rollout.worlds import Worlds
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """A fragment of experience and the update after it; times in seconds by the clock.
+
+    Attributes:
+        steps: Steps of the training so far, summed over all rows.
+        collect: Time of the fragment, with the evaluations in it.
+        update: Time of the update.
+        evaluations: Time of the evaluations in the fragment.
+        collecting: Where the time of all fragments so far went.
+    """
+
+    steps: int
+    collect: float
+    update: float
+    evaluations: float
+    collecting: CollectTimes
+
+
+OnIteration = Callable[[Iteration], str | None]
+"""Called after each iteration; returns the name of who stops the training, None to go on."""
 
 
 def train(
@@ -78,6 +101,7 @@ def train(
     placement: Placement = THIS_PROCESS,
     on_start: Callable[[Path], object] = lambda run: None,
     on_evaluation: OnEvaluation | None = None,
+    on_iteration: OnIteration | None = None,
 ) -> TrainingResult:
     """Train the policy of a scenario in a new run directory.
 
@@ -105,6 +129,7 @@ def train(
         on_start: Called with the run directory once it exists.
         on_evaluation: Called with the run directory after each evaluation during the training. It returns None to go on, or the name of who
             stops the training, which becomes `stopped_by` of the result.
+        on_iteration: Called after each fragment and its update with their times. It returns the same.
 
     Raises:
         UsageError: The directory exists, a stage, callback or logger does not exist, or the settings are invalid for training.
@@ -158,7 +183,9 @@ def train(
             shutil.copyfile(source.model("best"), new.model("initial"))
         on_start(path)
         checkpoints = Checkpoints(new, learners.class_of(training).State)
-        return run_training(new, training, checkpoints, build, reporter(progress), placement, on_evaluation=on_evaluation)
+        return run_training(
+            new, training, checkpoints, build, reporter(progress), placement, on_evaluation=on_evaluation, on_iteration=on_iteration
+        )
 
 
 def resume(
@@ -289,6 +316,7 @@ def run_training(
     placement: Placement,
     before: RunRecord | None = None,
     on_evaluation: OnEvaluation | None = None,
+    on_iteration: OnIteration | None = None,
 ) -> TrainingResult:
     """One process's share in a run, from its last checkpoint to the goal.
 
@@ -342,7 +370,8 @@ def run_training(
             stack.callback(reporter.stop)
             try:
                 followers.extend(map(plugins.PluginCallback, run.record.callbacks))
-                status = learn_until_done(learner, callback, followers, checkpoints)
+                watch = None if on_iteration is None else _timed(on_iteration, callback, collector)
+                status = learn_until_done(learner, callback, followers, checkpoints, watch)
                 reporter.update(callback.progress())
             finally:
                 digest = learner.digest()
@@ -450,8 +479,25 @@ def make_collector(
     return LocalCollector(worlds)
 
 
+def _timed(on_iteration: OnIteration, callback: TrainingCallback, collector: Collector) -> Callable[[float, float], None]:
+    """A function that takes the times of a fragment and its update."""
+    evaluations = 0.0
+
+    def watch(collect: float, update: float) -> None:
+        nonlocal evaluations
+        before, evaluations = evaluations, callback.evaluation_seconds
+        iteration = Iteration(callback.statistics.steps, collect, update, evaluations - before, replace(collector.times))
+        callback.stopped_by = on_iteration(iteration) or callback.stopped_by
+
+    return watch
+
+
 def learn_until_done(
-    learner: Learner, callback: TrainingCallback, followers: Sequence[plugins.PluginCallback], checkpoints: Checkpoints
+    learner: Learner,
+    callback: TrainingCallback,
+    followers: Sequence[plugins.PluginCallback],
+    checkpoints: Checkpoints,
+    watch: Callable[[float, float], None] | None = None,
 ) -> Status:
     """Learn until the goal, a solved task or an interruption."""
     run, statistics = callback.run, callback.statistics
@@ -461,8 +507,14 @@ def learn_until_done(
         if statistics.steps >= callback.total:  # it was killed when it was done, before its record said so
             return "finished"
         learner.start()
-        while statistics.steps < callback.total and checkpoints.before_rollout() and learner.collect():
+        while statistics.steps < callback.total and callback.stopped_by is None and checkpoints.before_rollout():
+            began = time.perf_counter()
+            if not learner.collect():
+                break
+            collected = time.perf_counter()
             learner.update()
+            if watch is not None:
+                watch(collected - began, time.perf_counter() - collected)
         learner.end()
         if callback.interruption.requested and statistics.steps < callback.total:
             return "interrupted"

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
+from time import perf_counter
 from typing import Any, NamedTuple, Protocol, cast
 
 import gymnasium as gym
@@ -94,10 +95,26 @@ class ShardState(NamedTuple):
     observed: str
 
 
+@dataclass
+class CollectTimes:
+    """Where the time of a collector went, in seconds by the clock, added up over its fragments.
+
+    Attributes:
+        worlds: Steps of the worlds; with shards in several processes, the mean of these processes.
+        waiting: What the slowest process took longer than the mean.
+        transfer: What orders and answers took beside the work of the slowest process.
+    """
+
+    worlds: float = 0.0
+    waiting: float = 0.0
+    transfer: float = 0.0
+
+
 class Collector(Protocol):
     """Gives a learner its experience."""
 
     rows: int
+    times: CollectTimes
     observation_space: gym.Space[Any]
     action_space: gym.Space[Any]
 
@@ -117,6 +134,7 @@ class LocalCollector:
     def __init__(self, worlds: Worlds) -> None:
         self.worlds = worlds
         self.rows, self.observation_space, self.action_space = worlds.rows, worlds.observation_space, worlds.action_space
+        self.times = CollectTimes()
         self.starts = np.ones(self.rows, bool)
         """Whether an episode begins with the observations that the agents act on next."""
 
@@ -153,7 +171,9 @@ class LocalCollector:
 
     def step_all(self, actions: Any) -> WorldsStep:
         """One step, for a learner that asks for single steps."""
+        began = perf_counter()
         outcome = self.worlds.step_all(actions)
+        self.times.worlds += perf_counter() - began
         self.starts = outcome.dones
         return outcome
 
@@ -248,10 +268,12 @@ class Answer:
     Attributes:
         notes: What the user should know, such as lost episodes.
         cpu_seconds: CPU time, if the shard runs in another process.
+        worker: The number of this process.
     """
 
     notes: Sequence[str] = ()
     cpu_seconds: float = 0.0
+    worker: int = 0
 
 
 @dataclass(frozen=True)
@@ -270,12 +292,14 @@ class Harvest(Answer):
         memory: That of its actor after the fragment.
         ended: Of each ending of the fragment: the stage of the episode, and what it drew.
         begun: Of each world that has begun another episode, by its number in the shard: how this one began, and its stage.
+        seconds: Time by the clock that the fragment took, and the part of it in the worlds.
     """
 
     fragment: Fragment
     memory: Mapping[str, Array]
     ended: Sequence[tuple[int, Mapping[str, Any]]]
     begun: Mapping[int, tuple[int | dict[str, Any], int]]
+    seconds: tuple[float, float]
 
 
 class RunningEpisode(NamedTuple):
@@ -347,6 +371,7 @@ class ShardedCollector:
         self.rows = self._width * len(seeds)
         self.observation_space, self.action_space = agents[0].observation_space, agents[0].action_space
         self.starts = np.ones(self.rows, bool)
+        self.times = CollectTimes()
         self._observations: Any = None
         self._replay: Iterator[WorldsStep] = iter(())
 
@@ -376,7 +401,9 @@ class ShardedCollector:
         memories = [{name: parts[shard] for name, parts in memory.items()} for shard in range(len(self._sizes))]
         begun, next_episode, stage = self._listener.present()
         order = Order(actor.parameters(), steps, begun, next_episode, stage, with_masks)
+        asked = perf_counter()
         harvests = self._pool.collect(order, memories, self._by_shard(self.episodes))
+        self._note_times(harvests, perf_counter() - asked)
         actor.remember({name: np.concatenate([harvest.memory[name] for harvest in harvests]) for name in memory})
         for harvest in harvests:
             self._listener.on_answer(harvest)
@@ -384,6 +411,15 @@ class ShardedCollector:
         self._note_episodes(fragment, harvests)
         self._replay = self._steps(fragment, _details(harvests))
         return fragment
+
+    def _note_times(self, harvests: Sequence[Harvest], seconds: float) -> None:
+        busy: dict[int, float] = {}
+        for harvest in harvests:
+            busy[harvest.worker] = busy.get(harvest.worker, 0.0) + harvest.seconds[0]
+        longest = max(busy.values())
+        self.times.worlds += sum(harvest.seconds[1] for harvest in harvests) / len(busy)
+        self.times.waiting += longest - sum(busy.values()) / len(busy)
+        self.times.transfer += seconds - longest
 
     def evaluate(self, actor: PolicyActor, episodes: int, stage: str | None) -> list[Episode]:
         """The episodes of an evaluation of the policy, in the order of their numbers."""

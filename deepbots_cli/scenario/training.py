@@ -13,6 +13,7 @@ from deepbots_cli.plugins import PluginTable
 from deepbots_cli.scenario.base import FORMS, InsteadOf, Kinds, Many, Section, check_kind_model
 from deepbots_cli.scenario.fields import Bool, Fraction, Number, PlainText, PositiveInt, Scalar, Schedule, WholeNumber
 
+MAX_SHARDS = 256
 Weight = Annotated[float, Number(0)]
 Positive = Annotated[float, Number(0, exclusive=True)]
 StepsOrAll = Annotated[int, WholeNumber(-1, 1_000_000_000)]
@@ -71,7 +72,7 @@ class Training(Section):
     """Number of steps to train for, summed over all environments."""
     environments: Annotated[int, WholeNumber(1, 1024)] = 1
     """Number of copies of the environment that run at the same time."""
-    shards: Annotated[int, WholeNumber(1, 256)] = 1
+    shards: Annotated[int, WholeNumber(1, MAX_SHARDS)] = 1
     """Number of groups into which the environments are divided, each with a copy of the policy."""
     network: Annotated[PolicyNetwork, InsteadOf("policy")] = Field(default_factory=PolicyNetwork)
     """The network of the policy."""

@@ -215,10 +215,14 @@ def test_commands_print_the_same_with_workers(
     [
         (["train", "cartpole", "--seeds", "3", "--workers", "2"], "--workers has nothing to divide, since there is one seed"),
         (["test", "cartpole", "--cluster", "auto"], "--cluster has nothing to divide, since there is one scenario"),
+        (["train", "cartpole", "--shards", "auto", "--seeds", "0..2"], "--shards auto measures a single training"),
+        (["bench", "cartpole", "--workers", "2"], "--workers and --cluster need --shards"),
+        (["bench", "cartpole", "--shards", "1,2", "--quick"], "--shards and --quick cannot be combined"),
+        (["bench", "cartpole", "--shards", "1,x"], "--shards 1,x is not a list of whole numbers from 1, such as 1,2,4"),
         (["test", "cartpole", "find_ball", "--workers", "2", "--cluster", "auto"], "--workers and --cluster cannot be combined"),
     ],
 )
-def test_workers_with_nothing_to_divide_are_refused(arguments: list[str], reason: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_workers_and_shards_that_make_no_sense_are_refused(arguments: list[str], reason: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(arguments) == 2
     assert reason in capsys.readouterr().err
 

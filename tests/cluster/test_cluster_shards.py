@@ -14,9 +14,10 @@ from typing import Any
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.cli import main
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.learning import resume, train
+from deepbots_cli.learning import resume, scaling, train
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.shards import THIS_PROCESS, Placement
@@ -136,3 +137,17 @@ def test_an_episode_that_always_kills_its_worker_ends_the_training(cluster: Clus
         trained("PPO", tmp_path / "run", cluster, progress=kill)
     resume(tmp_path / "run")
     assert outcome(tmp_path / "run") == trained("PPO", tmp_path / "here", THIS_PROCESS)
+
+
+@pytest.mark.slow
+def test_a_training_that_measures_its_shards_first_is_one_with_this_number(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(scaling, "SECONDS", 0.2)
+    monkeypatch.setattr(scaling, "MIN_GAIN", 0.0)  # so that two shards may be chosen for CartPole, which gains nothing by them
+    command = ["train", "cartpole", "--set", "train.n_steps=64", "--timesteps", "1200", "--json", "--run"]
+    assert main([*command, str(tmp_path / "auto"), "--shards", "auto", "--workers", "2"]) == 0
+    chosen = re.search(r"measured: 1 shard .* steps/s, 2 shards .* steps/s; the training has (\d) shard", capsys.readouterr().err)
+    assert chosen
+    assert main([*command, str(tmp_path / "fixed"), "--shards", chosen[1]]) == 0
+    assert outcome(tmp_path / "auto") == outcome(tmp_path / "fixed")

@@ -14,13 +14,26 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import repeat
+from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Annotated, Any
 
 from deepbots_cli import api
-from deepbots_cli.cli import terminal, throughput
-from deepbots_cli.cli.command import ADVANCED, Json, Overrides, Scenario, Seed, integer, known_engine, option
-from deepbots_cli.cli.tables import row_as_lines
+from deepbots_cli.cli import processes, terminal, throughput
+from deepbots_cli.cli.command import (
+    ADVANCED,
+    ClusterAddress,
+    Json,
+    Overrides,
+    Scenario,
+    Seed,
+    Workers,
+    integer,
+    known_engine,
+    option,
+)
+from deepbots_cli.cli.processes import available_cores
+from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
@@ -61,6 +74,15 @@ def command(
             " worlds in MuJoCo.",
         ),
     ] = None,
+    shards: Annotated[
+        str | None,
+        option(
+            "--shards N,N",
+            "Measure a training with these numbers of shards on processes of this machine, such as 1,2,4; one shard runs without them.",
+        ),
+    ] = None,
+    workers: Workers = None,
+    address: ClusterAddress = None,
     worlds: Annotated[str | None, option("--worlds N,N", "With `batch`, how many worlds; 1,16,64,256 by default.", ADVANCED)] = None,
     as_json: Json = False,
     permissions: Permissions = Permissions(),
@@ -74,6 +96,9 @@ def command(
     With several engines, or with `--engine batch` (many worlds in MuJoCo), resets are timed too, actions are random, and a table says
     where the time goes.
 
+    --shards trains for a few seconds with each number of shards, and prints steps per second and where the time goes: steps of the worlds,
+    the policy, transfer between the processes, waiting for the slowest one, and updates. Efficiency is the gain in speed per process.
+
     By default, the measurement takes at most 20 s. With several engines, each is measured at least once, even if that takes more than
     20 s. With --steps or --pairs, this limit does not apply. Larger numbers take longer, and the ratio varies less between measurements.
 
@@ -82,6 +107,7 @@ def command(
       deepbots bench quadruped --quick
       deepbots bench cartpole --set messages.format=csv --pairs 15
       deepbots bench cartpole --engine pybullet,mujoco,batch --worlds 16,256
+      deepbots bench pit_escape --shards 1,2
     """
     names = [] if engine is None else engine.split(",")
     for name in names:
@@ -89,6 +115,18 @@ def command(
     if worlds is not None and throughput.BATCH not in names:
         raise UsageError("--worlds needs --engine batch")
     several = len(names) > 1 or throughput.BATCH in names
+    if shards is not None:
+        if several:
+            raise UsageError("--shards measures a training with one engine; name one with --engine")
+        others = {"--steps": steps, "--pairs": pairs, "--quick": quick or None}
+        if given := [name for name, value in others.items() if value is not None]:
+            raise UsageError(f"--shards and {given[0]} cannot be combined")
+        _bench_shards(
+            scenario, with_engine(overrides, engine), shards, workers, address, seed=seed, as_json=as_json, permissions=permissions
+        )
+        return
+    if workers is not None or address is not None:
+        raise UsageError("--workers and --cluster need --shards")
     changed = with_engine(overrides, None if several or not names else names[0])
     compiled = api.compile(scenario, overrides=changed, permissions=permissions)
     terminal.note_warnings(compiled.findings, scenario)
@@ -126,6 +164,41 @@ def command(
         *([] if faster is None else [faster.text]),
         as_json=as_json,
     )
+
+
+def _bench_shards(
+    scenario: str,
+    overrides: list[str],
+    listed: str,
+    workers: int | None,
+    address: str | None,
+    *,
+    seed: int,
+    as_json: bool,
+    permissions: Permissions,
+) -> None:
+    """Measure trainings with several numbers of shards."""
+    numbers = throughput.counts(listed, "--shards")
+    compiled = api.compile(scenario, overrides=[*overrides, f"train.shards={max(numbers)}"], permissions=permissions)
+    terminal.note_warnings(compiled.findings, scenario)
+    with terminal.transient_line("loading PyTorch ..."):
+        from deepbots_cli.learning import scaling
+    if address is None and workers is None and max(numbers) > 1:
+        workers = min(max(numbers), available_cores())
+    terminal.note(f"training for about {scaling.SECONDS:.0f} s with each number of shards, after the start of their processes")
+    with processes.cluster(workers, address, quiet=False) as found, terminal.progress("measurements") as show:
+        timings = scaling.measure(
+            scenario,
+            numbers,
+            found,
+            overrides=overrides,
+            permissions=permissions,
+            seed=seed,
+            folder=None if address is None else Path.cwd(),
+            on_measured=show,
+        )
+    title = f"{compiled.program.name}, training; us per step of one world, by the clock"
+    terminal.show([vars(timing) for timing in timings], title, table([scaling.row(timing) for timing in timings]), as_json=as_json)
 
 
 def _affordable_steps(per_second: float, pairs: int) -> int:

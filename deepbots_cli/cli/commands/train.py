@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -29,6 +29,7 @@ from deepbots_cli.cli.command import (
     integer,
     option,
     seed_list,
+    whole_number,
 )
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.document import Permissions
@@ -40,6 +41,7 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.rollout.source import Source, SourceKind
+from deepbots_cli.scenario.training import MAX_SHARDS
 
 if TYPE_CHECKING:
     from deepbots_cli.learning import TrainingResult
@@ -50,6 +52,10 @@ if TYPE_CHECKING:
 
 _PAGE_FRAME_RATE = 10
 """Pictures per second of the page of a training: a browser that draws in software shares the cores with the training."""
+
+
+def _shard_count(text: str) -> str:
+    return text if text == "auto" else str(whole_number(1, MAX_SHARDS)(text))
 
 
 def command(
@@ -92,13 +98,13 @@ def command(
         ),
     ] = None,
     shards: Annotated[
-        int | None,
-        integer(
+        str | None,
+        option(
             "--shards N",
-            "Divide the environments into N groups, each with a copy of the policy; by default `train.shards`. It changes the result.",
-            1,
-            256,
+            "Divide the environments into N groups, each with a copy of the policy; by default `train.shards`. It changes the result."
+            " `auto` measures several numbers first, and takes the fastest.",
             ADVANCED,
+            parser=_shard_count,
         ),
     ] = None,
     workers: Workers = None,
@@ -139,7 +145,8 @@ def command(
 
     --shards divides the environments of one training. With --workers, the shards run in processes of this machine, and with --cluster
     on a Ray cluster. Weights and logs depend on the number of shards, and not on where they run. If a process is lost, its shards repeat
-    the last steps in another one.
+    the last steps in another one. `--shards auto` trains for a few seconds with 1, 2, 4, ... shards, on a worker for each core by default.
+    It chooses the fastest number, or 1 if no other is at least 1.1 times as fast.
 
     --seeds trains a group: one folder with a run for each seed. The trainings run one after the other, or with --workers N, N at a time,
     each in a process of its own; the runs are the same. If a process is lost, another one resumes its training. --resume of a group skips
@@ -175,15 +182,10 @@ def command(
         raise UsageError(f"--run: {run} already exists; choose another directory, because runs are not overwritten")
     else:
         listed = None if seeds is None else seed_list(seeds)
-        changed = [*with_engine(overrides, engine), *([] if shards is None else [f"train.shards={shards}"])]
+        undivided = with_engine(overrides, engine)
+        changed = undivided if shards in (None, "auto") else [*undivided, f"train.shards={shards}"]
         compiled = api.compile(scenario, overrides=changed, permissions=permissions)
-        training = compiled.program.agent.training
-        if listed is not None:
-            processes.check_dividable(workers, address, len(listed), "there is one seed; name several with --seeds")
-        elif training is not None:
-            processes.check_dividable(
-                workers, address, training.shards, "the training has one shard; add --shards N, or --seeds for several trainings"
-            )
+        workers = _checked_workers(compiled.program, shards, listed, workers, address)
         terminal.note_warnings(compiled.findings, scenario)
         settings: dict[str, Any] = {
             "total_timesteps": timesteps,
@@ -209,8 +211,31 @@ def command(
                 _finish_group(group, spread, quiet=quiet, as_json=as_json, permissions=permissions)
             return
         with _page(wanted=to_view, permissions=permissions) as show_page, _placement(workers, address, quiet=quiet) as placement:
+            if shards == "auto":
+                compiled = _with_fastest_shards(scenario, compiled, undivided, placement, seed or 0, permissions)
             result = train(compiled, run=run, seed=seed or 0, on_start=show_page, placement=placement, **settings)
     _finish(result, quiet=quiet, as_json=as_json, permissions=permissions)
+
+
+def _checked_workers(
+    program: Program, shards: str | None, seeds: Sequence[int] | None, workers: int | None, address: str | None
+) -> int | None:
+    """The number of workers; with `--shards auto`, as many as there are cores by default.
+
+    Raises:
+        UsageError: They have nothing to divide.
+    """
+    training = program.agent.training
+    if shards == "auto":
+        if seeds is not None:
+            raise UsageError("--shards auto measures a single training; name a number of shards, or leave out --seeds")
+        return processes.available_cores() if workers is None and address is None else workers
+    if seeds is not None:
+        processes.check_dividable(workers, address, len(seeds), "there is one seed; name several with --seeds")
+    elif training is not None:
+        reason = "the training has one shard; add --shards N, or --seeds for several trainings"
+        processes.check_dividable(workers, address, training.shards, reason)
+    return workers
 
 
 @contextmanager
@@ -220,6 +245,30 @@ def _placement(workers: int | None, address: str | None, *, quiet: bool) -> Iter
 
     with processes.cluster(workers, address, quiet=quiet) as found:
         yield found or THIS_PROCESS
+
+
+def _with_fastest_shards(
+    scenario: str, compiled: api.Compiled, overrides: list[str], placement: Placement, seed: int, permissions: Permissions
+) -> api.Compiled:
+    """The scenario with the number of shards that trains fastest."""
+    from deepbots_cli.cluster import Cluster
+    from deepbots_cli.learning import scaling
+
+    training = compiled.program.agent.training
+    if training is None or not isinstance(placement, Cluster):
+        return compiled
+    numbers = scaling.candidates(training.environments, placement.workers)
+    if len(numbers) == 1:
+        terminal.note("the training has 1 shard: there is nothing to divide, with one environment or one worker")
+        return compiled
+    folder = None if placement.is_on_this_machine else Path.cwd()
+    with terminal.progress("measurements") as show:
+        timings = scaling.measure(
+            scenario, numbers, placement, overrides=overrides, permissions=permissions, seed=seed, folder=folder, on_measured=show
+        )
+    chosen = scaling.choose(timings)
+    terminal.note(scaling.described(timings, chosen))
+    return api.compile(scenario, overrides=[*overrides, f"train.shards={chosen.shards}"], permissions=permissions)
 
 
 def _names(given: list[str] | None) -> list[str] | None:

@@ -1,0 +1,203 @@
+"""How fast a training is with several numbers of shards, and where its time goes.
+
+A measurement trains for a few seconds in a temporary folder, and leaves nothing.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Protocol
+
+from deepbots_cli import api
+from deepbots_cli.api import Compiled
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import ScenarioError
+from deepbots_cli.learning.episodes import MAX_STEPS
+from deepbots_cli.learning.shards import THIS_PROCESS, Placement
+from deepbots_cli.learning.training import Iteration, train
+from deepbots_cli.rollout.collector import CollectTimes
+from deepbots_cli.scenario.fields import counted_noun
+
+SECONDS = 4.0
+"""Time of a measurement, after the first iteration, in which workers start."""
+_MIN_ITERATIONS = 3
+_LEARNING_STARTS = 200
+"""Steps before the first update of an off-policy algorithm, if it permits so few."""
+MIN_GAIN = 1.1
+"""How much faster several shards must be to be chosen."""
+
+
+class Workers(Placement, Protocol):
+    """Processes for shards, such as a `Cluster`."""
+
+    @property
+    def workers(self) -> int:
+        """Their number."""
+
+
+@dataclass(frozen=True)
+class ShardTiming:
+    """The speed of a training with a number of shards. Times are in us by the clock, per step of one world.
+
+    Attributes:
+        shards: Number of shards.
+        workers: Number of processes that have these shards; 0 for the process of the training.
+        steps_per_second: Steps of all worlds per second, with the updates and without evaluations.
+        speedup: `steps_per_second` divided by that of the first measurement.
+        efficiency: `speedup` per process.
+        start_s: Time from the start of the training to the end of its first iteration.
+        worlds_us: Steps of the worlds, divided by the number of processes.
+        policy_us: The rest of collecting: actions of the policy, and counting steps and episodes.
+        transfer_us: Orders to the shards, and their answers.
+        waiting_us: How much longer than the mean the slowest process takes.
+        update_us: Learning.
+    """
+
+    shards: int
+    workers: int
+    steps_per_second: float
+    speedup: float
+    efficiency: float
+    start_s: float
+    worlds_us: float
+    policy_us: float
+    transfer_us: float
+    waiting_us: float
+    update_us: float
+
+
+def measure(
+    scenario: str,
+    shards: Sequence[int],
+    workers: Workers | None,
+    *,
+    overrides: Sequence[str] = (),
+    permissions: Permissions = Permissions(),
+    seed: int = 0,
+    folder: Path | None = None,
+    seconds: float = SECONDS,
+    on_measured: Callable[[int, int], object] | None = None,
+) -> list[ShardTiming]:
+    """Train for some seconds with each number of shards; a single shard belongs to this process.
+
+    Args:
+        scenario: The path of a file, or the name of a shipped scenario.
+        shards: The numbers of shards.
+        workers: Where several shards run; by default in this process too.
+        folder: Where a temporary folder is made; workers on other machines must see it.
+        on_measured: Called with the number of measurements that are done and that of all.
+    """
+    found: list[ShardTiming] = []
+    show = on_measured or (lambda done, of: None)
+    for number, count in enumerate(shards):
+        show(number, len(shards))
+        placement = workers if workers is not None and count > 1 else None
+        with TemporaryDirectory(prefix="deepbots-", dir=folder) as path:
+            times = _Times(seconds)
+            train(
+                _with_shards(scenario, count, overrides, permissions),
+                run=Path(path) / "run",
+                seed=seed,
+                total_timesteps=MAX_STEPS,
+                stop_when_solved=False,
+                placement=placement or THIS_PROCESS,
+                on_iteration=times.note,
+            )
+        found.append(times.timing(count, min(count, placement.workers) if placement else 0, found[0].steps_per_second if found else None))
+    show(len(shards), len(shards))
+    return found
+
+
+def _with_shards(scenario: str, shards: int, overrides: Sequence[str], permissions: Permissions) -> Compiled:
+    changed = [*overrides, f"train.shards={shards}"]
+    try:
+        return api.compile(scenario, overrides=[*changed, f"train.learning_starts={_LEARNING_STARTS}"], permissions=permissions)
+    except ScenarioError:  # an on-policy algorithm, or one that needs a longer start
+        return api.compile(scenario, overrides=changed, permissions=permissions)
+
+
+class _Times:
+    """Adds up the times of iterations after the first one."""
+
+    def __init__(self, seconds: float) -> None:
+        self._limit, self._began = seconds, time.perf_counter()
+        self._first: tuple[Iteration, float] | None = None
+        self._last: Iteration | None = None
+        self._collect = self._update = 0.0
+        self._count = 0
+
+    def note(self, iteration: Iteration) -> str | None:
+        now = time.perf_counter()
+        if self._first is None:
+            self._first = iteration, now
+            return None
+        self._last = iteration
+        self._collect += iteration.collect - iteration.evaluations
+        self._update += iteration.update
+        self._count += 1
+        return "the measurement" if self._count >= _MIN_ITERATIONS and now - self._first[1] >= self._limit else None
+
+    def timing(self, shards: int, workers: int, first: float | None) -> ShardTiming:
+        if self._first is None or self._last is None:
+            raise RuntimeError("the training ended before the measurement")
+        steps = self._last.steps - self._first[0].steps
+        spent = _difference(self._last.collecting, self._first[0].collecting)
+        rate = steps / (self._collect + self._update)
+        each = 1e6 / steps
+        return ShardTiming(
+            shards=shards,
+            workers=workers,
+            steps_per_second=rate,
+            speedup=rate / (first or rate),
+            efficiency=rate / (first or rate) / max(1, workers),
+            start_s=self._first[1] - self._began,
+            worlds_us=spent.worlds * each,
+            policy_us=max(0.0, self._collect - spent.worlds - spent.waiting - spent.transfer) * each,
+            transfer_us=spent.transfer * each,
+            waiting_us=spent.waiting * each,
+            update_us=self._update * each,
+        )
+
+
+def _difference(after: CollectTimes, before: CollectTimes) -> CollectTimes:
+    return CollectTimes(after.worlds - before.worlds, after.waiting - before.waiting, after.transfer - before.transfer)
+
+
+def candidates(environments: int, workers: int) -> list[int]:
+    """The numbers of shards to compare: 1, 2, 4, ..., and one for each worker."""
+    most = min(environments, workers)
+    return sorted({1, most, *(1 << power for power in range(most.bit_length()))})
+
+
+def choose(timings: Sequence[ShardTiming]) -> ShardTiming:
+    """The fastest, or the first if no other is at least `MIN_GAIN` times as fast."""
+    best = max(timings, key=lambda timing: timing.steps_per_second)
+    return best if best.steps_per_second >= MIN_GAIN * timings[0].steps_per_second else timings[0]
+
+
+def described(timings: Sequence[ShardTiming], chosen: ShardTiming) -> str:
+    """What was measured and chosen, in a sentence."""
+    rates = ", ".join(f"{counted_noun(timing.shards, 'shard')} {timing.steps_per_second:,.0f} steps/s" for timing in timings)
+    reason = "" if chosen is not timings[0] or len(timings) == 1 else f", because more are less than {MIN_GAIN} times as fast"
+    return f"measured: {rates}; the training has {counted_noun(chosen.shards, 'shard')}{reason}"
+
+
+def row(timing: ShardTiming) -> dict[str, Any]:
+    """A row of the table of `deepbots bench`."""
+    return {
+        "shards": timing.shards,
+        "workers": timing.workers or "-",
+        "steps/s": round(timing.steps_per_second),
+        "times": round(timing.speedup, 2),
+        "efficiency": round(timing.efficiency, 2),
+        "us/step": round(1e6 / timing.steps_per_second, 1),
+        "worlds": round(timing.worlds_us, 1),
+        "policy": round(timing.policy_us, 1),
+        "transfer": round(timing.transfer_us, 1),
+        "waiting": round(timing.waiting_us, 1),
+        "update": round(timing.update_us, 1),
+    }
