@@ -13,7 +13,6 @@ the same bytes. Importing this module does not load torch.
 from __future__ import annotations
 
 import shutil
-import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
@@ -31,11 +30,12 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning.report import GroupProgressReporter, GroupReporter, Reporter, TrainingProgress
 from deepbots_cli.learning.run import (
+    WORKERS_FOLDER,
     RecordFormat,
     RunRecord,
     TrainingOptions,
     TrainingResult,
-    is_training,
+    has_ended,
     new_directory,
     read_json,
     remove_incomplete,
@@ -53,9 +53,6 @@ if TYPE_CHECKING:
 FORMAT = 1
 MAX_SEEDS = 1000
 _MAX_RECORD_BYTES = 1_000_000
-_WORKERS_FOLDER = "workers"
-_LOCK_TIMEOUT_S = 60.0
-"""How long a training waits until the one that it repeats has ended: a process ends some time after its node was lost."""
 
 
 class GroupRecord(BaseModel):
@@ -108,7 +105,7 @@ class Group:
         record = read_json(path / GROUP_RECORD_NAME, GroupRecord, _MAX_RECORD_BYTES)
         if len(set(record.seeds)) < len(record.seeds):
             raise RunError(f"{path / GROUP_RECORD_NAME} is damaged: it lists a seed twice")
-        for name in (GROUP_RECORD_NAME, RESOLVED_NAME, INPUTS_FOLDER, _WORKERS_FOLDER, *(f"seed-{seed}" for seed in record.seeds)):
+        for name in (GROUP_RECORD_NAME, RESOLVED_NAME, INPUTS_FOLDER, WORKERS_FOLDER, *(f"seed-{seed}" for seed in record.seeds)):
             if (path / name).is_symlink():
                 raise RunError(f"{path / name} is a symbolic link; deepbots does not write symbolic links into a group")
         return Group(path, record)
@@ -332,7 +329,7 @@ class _SeedTraining:
 
 
 def _log_of(group: Path, item: _SeedTraining) -> Path:
-    return group / _WORKERS_FOLDER / f"seed-{item.seed}.log"
+    return group / WORKERS_FOLDER / f"seed-{item.seed}.log"
 
 
 def _is_complete(run: Path, changes: Mapping[str, Any]) -> bool:
@@ -355,9 +352,7 @@ def _train_seed(item: _SeedTraining, attempt: Attempt) -> TrainingResult | None:
         return None
     own = {"progress": _AttemptReporter(attempt)} if item.own is None else item.own
     if attempt.number > 1:
-        deadline = time.monotonic() + _LOCK_TIMEOUT_S
-        while is_training(item.path) and time.monotonic() < deadline:
-            time.sleep(0.5)
+        has_ended(item.path)
     if folder_kind(item.path) is not SourceKind.RUN:
         remove_incomplete(item.path)
         return train(item.compiled, run=item.path, seed=item.seed, **{**item.options, **item.changes}, **own)

@@ -22,6 +22,7 @@ import os
 import platform
 import re
 import shutil
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -55,6 +56,10 @@ ModelName = Literal["best", "last"]
 Status = Literal["running", "finished", "interrupted", "failed"]
 M = TypeVar("M", bound=BaseModel)
 
+WORKERS_FOLDER = "workers"
+"""The output of workers, in the folder of a run, a group or a study."""
+_END_TIMEOUT_S = 60.0
+"""How long to wait for the end of a training whose worker was lost: a process ends some time after its node was lost."""
 _MAX_RECORD_BYTES = 4_000_000
 _MAX_EVALUATION_BYTES = 200_000_000
 _VERSIONED_PACKAGES = ("gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch")
@@ -512,6 +517,16 @@ def is_training(folder: Path) -> bool:
         return True
     except OSError:  # of somebody else, and not to be written
         return False
+
+
+def has_ended(folder: Path) -> bool:
+    """Whether no training is at work in the directory any more; waits a while for one whose worker was lost."""
+    deadline = time.monotonic() + _END_TIMEOUT_S
+    while is_training(folder):
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.5)
+    return True
 
 
 def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, seed: int | str) -> Path:

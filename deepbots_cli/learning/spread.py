@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypedDict, TypeVar, Unpack
 
@@ -117,7 +118,7 @@ class _ThisProcess:
         for number, item in enumerate(items):
             outcome: Result | DeepbotsError
             try:
-                outcome = function(item, Attempt())
+                outcome = function(item, Attempt(1, partial(watcher.on_report, number), partial(watcher.on_note, number)))
             except DeepbotsError as error:
                 outcome = error
             watcher.on_done(number, outcome)

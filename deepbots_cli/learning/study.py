@@ -4,6 +4,7 @@
     ├── study.json           search space, seeds, objective, settings of the trainings, versions, command
     ├── inputs/, resolved.yaml   the scenario, from which all trials are trained
     ├── journal.log          the values, states and scores of the trials, by Optuna
+    ├── workers/             the output of workers
     └── trial-0/, trial-1/ ...   a group for each trial
 
 Several processes may work on one study: each takes the next trial under a lock that ends with the process. A trial of a process that was
@@ -35,8 +36,9 @@ from deepbots_cli.document.load import TUNE, setting_path
 from deepbots_cli.document.nodes import node_at
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, RunError, UsageError
 from deepbots_cli.learning.episodes import UNBOUNDED, Interval
-from deepbots_cli.learning.report import Reporter
+from deepbots_cli.learning.report import TrainingProgress
 from deepbots_cli.learning.run import (
+    WORKERS_FOLDER,
     RecordFormat,
     new_directory,
     read_json,
@@ -147,14 +149,32 @@ class TrialResult:
     stop_requested: bool = False
 
 
-class StudyReporter(Reporter):
-    """Follows a study and the training at work. This one reports nothing."""
+@dataclass(frozen=True)
+class TrialProgress:
+    """How far a trial is: the training of `seed`, number `place` from 1 of its `count` trainings."""
+
+    seed: int
+    place: int
+    count: int
+    training: TrainingProgress
+
+    @property
+    def fraction(self) -> float:
+        """That of all steps, if each training takes them all."""
+        return (self.place - 1 + self.training.steps / self.training.total_steps) / self.count
+
+
+class StudyReporter:
+    """Follows a study and the trials at work. This one reports nothing."""
+
+    def note(self, text: str) -> None:
+        """Called with what the user should know."""
 
     def begin_trial(self, trial: StudyTrial) -> None:
         """Called before a trial is trained, or continued."""
 
-    def begin_seed(self, seed: int, number: int, count: int) -> None:
-        """Called before each training, with its number from 1, and the number of all trainings of the trial."""
+    def update(self, number: int, progress: TrialProgress) -> None:
+        """Called during the trainings of a trial."""
 
     def end_trial(self, trial: StudyTrial) -> None:
         """Called after a trial has ended."""
@@ -215,7 +235,7 @@ class Study:
         found = read_json(path / STUDY_RECORD_NAME, RecordFormat, _MAX_RECORD_BYTES).format
         if found != FORMAT:
             raise RunError(f"{path} is a study of format {found}, but this version of deepbots reads {FORMAT}")
-        for name in (STUDY_RECORD_NAME, RESOLVED_NAME, INPUTS_FOLDER, JOURNAL_NAME):
+        for name in (STUDY_RECORD_NAME, RESOLVED_NAME, INPUTS_FOLDER, JOURNAL_NAME, WORKERS_FOLDER):
             if (path / name).is_symlink():
                 raise RunError(f"{path / name} is a symbolic link; deepbots does not write symbolic links into a study")
         return Study(path, read_json(path / STUDY_RECORD_NAME, StudyRecord, _MAX_RECORD_BYTES))

@@ -5,20 +5,23 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from dataclasses import asdict
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from statistics import fmean, median
 from typing import TYPE_CHECKING, Any
 
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.group import Group, resume_group, train_group
-from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import Run, RunRecord, is_training, run_lock
-from deepbots_cli.learning.study import Journal, Objective, SeedScore, Study, StudyReporter, TrialResult
+from deepbots_cli.learning.report import Reporter, TrainingProgress, to_json
+from deepbots_cli.learning.run import WORKERS_FOLDER, Run, RunRecord, has_ended, is_training, run_lock
+from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, CallOptions, Spread, Watcher
+from deepbots_cli.learning.study import Journal, Objective, SeedScore, Study, StudyReporter, TrialProgress, TrialResult
 from deepbots_cli.learning.verdict import quoted_evaluation
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved
@@ -28,6 +31,8 @@ from deepbots_cli.scenario.search import SearchSpace
 
 if TYPE_CHECKING:
     import optuna
+
+    from deepbots_cli.learning.callbacks import Interruption
 
 PRUNED_BY = "tune"
 """`stopped_by` of a run whose trial was pruned."""
@@ -46,31 +51,124 @@ _MAX_FAILED_FIRST = 3
 """Trials that may fail at the beginning; after that the settings are wrong, not the values."""
 
 
-def run_study(study: Study, *, reporter: StudyReporter | None = None, permissions: Permissions = Permissions()) -> bool:
-    """Take trials, one after the other, until the study has as many as its record says, or none is left for this process.
+def run_study(
+    study: Study, *, reporter: StudyReporter | None = None, permissions: Permissions = Permissions(), spread: Spread = ONE_BY_ONE
+) -> bool:
+    """Take trials until the study has as many as its record says, or none is left for this process.
 
     Trials that other processes have begun and left are continued first. Returns False after Ctrl-C or SIGTERM.
 
+    This process takes each trial when a worker is free, so that the sampler knows all results until then, and keeps its lock; a worker
+    trains it. The lock also outlasts a worker that is lost, and its trial continues on another one.
+
+    Args:
+        study: The study.
+        reporter: Follows the trials.
+        permissions: With `code`, the scenario may run functions of installed Python packages.
+        spread: Where trials run, by default in this process, one after the other. With several at a time, the values of a trial depend on
+            those that have ended when it begins. What a trial with these values comes to does not, except for pruning.
+
     Raises:
         RunError: The study is damaged.
-        UsageError: The first trials fail; the message is that of the last one.
+        UsageError: The first trials fail; the message is that of the last one. Also the errors of `Spread.map`.
     """
-    reporter, journal = reporter or StudyReporter(), study.connect()
-    while True:
-        with next_trial(study, journal) as number:
-            if number is None:
-                return True
-            reporter.begin_trial(study.trial(journal, number))
-            result = run_trial(study.path, number, reporter=reporter, permissions=permissions)
-            if result.state == "running":
-                return False
-            end_trial(journal, number, result)
-            reporter.end_trial(study.trial(journal, number))
-        ended = study.trials(journal)
+    with ExitStack() as stack:
+        search = stack.enter_context(closing(_Search(study, reporter or StudyReporter(), permissions)))
+        options: CallOptions = {"watcher": search}
+        if not spread.is_here:
+            from deepbots_cli.learning.callbacks import Interruption, signals_handled  # which imports torch
+
+            interruption = Interruption()
+            stack.enter_context(signals_handled(interruption))
+            options |= {"stop": partial(search.stops, interruption), "files": [study.path / RESOLVED_NAME], "log": _log_of}
+        found = stack.enter_context(closing(spread.map(run_trial, search.trials(), **options)))
+        try:
+            for outcome in found:
+                if spread.is_here and (not isinstance(outcome, TrialResult) or outcome.stop_requested):
+                    return False
+        except KeyboardInterrupt:  # a second one
+            if spread.is_here:
+                raise
+            return False
+        return not search.is_stopping and not search.left
+
+
+@dataclass(frozen=True)
+class TakenTrial:
+    """A trial that a process has taken, and is to be run in any process that sees the study."""
+
+    study: Path
+    number: int
+    permissions: Permissions
+
+
+def _log_of(taken: TakenTrial) -> Path:
+    return taken.study / WORKERS_FOLDER / f"trial-{taken.number}.log"
+
+
+class _Search(Watcher):
+    """Takes trials, keeps their locks while they run, and tells Optuna their results.
+
+    Attributes:
+        is_stopping: Whether a stop was requested.
+        left: Numbers of the trials that have begun and not ended.
+    """
+
+    def __init__(self, study: Study, reporter: StudyReporter, permissions: Permissions) -> None:
+        self._study, self._reporter, self._permissions = study, reporter, permissions
+        self._journal = study.connect()
+        self._numbers: list[int] = []
+        self._locks: dict[int, ExitStack] = {}
+        self.left: set[int] = set()
+        self.is_stopping = False
+
+    def trials(self) -> Iterator[TakenTrial]:
+        while True:
+            with ExitStack() as stack:
+                number = stack.enter_context(next_trial(self._study, self._journal))
+                if number is None:
+                    return
+                self._reporter.begin_trial(self._study.trial(self._journal, number))
+                self._locks[number] = stack.pop_all()
+            self._numbers.append(number)
+            self.left.add(number)
+            yield TakenTrial(self._study.path, number, self._permissions)
+
+    def stops(self, interruption: Interruption) -> bool:
+        if interruption.requested and not self.is_stopping:
+            self.is_stopping = True
+            self._reporter.note("stopping after these rollouts")
+        return interruption.requested
+
+    def on_report(self, item: int, value: object) -> None:
+        number = self._numbers[item]
+        if isinstance(value, TrialProgress) and number in self._locks:  # a last report may come after the end
+            self._reporter.update(number, value)
+
+    def on_note(self, item: int, text: str) -> None:
+        self._reporter.note(text)
+
+    def on_loss(self, item: int) -> None:
+        self._reporter.note(f"the worker of trial {self._numbers[item]} was lost; another one continues the trial")
+
+    def on_done(self, item: int, outcome: object) -> None:
+        number = self._numbers[item]
+        with self._locks.pop(number):
+            if isinstance(outcome, UsageError):  # about the study or the worker; errors of a training are in a `TrialResult`
+                raise outcome
+            result = TrialResult("failed", reason=outcome.full_message) if isinstance(outcome, DeepbotsError) else outcome
+            if not isinstance(result, TrialResult) or result.state == "running":
+                return
+            end_trial(self._journal, number, result)
+            self.left.discard(number)
+            self._reporter.end_trial(self._study.trial(self._journal, number))
+        ended = self._study.trials(self._journal)
         if len(ended) >= _MAX_FAILED_FIRST and all(trial.state == "failed" for trial in ended):
             raise UsageError(f"all trials fail: {result.reason}")
-        if result.stop_requested:
-            return False
+
+    def close(self) -> None:
+        for lock in self._locks.values():
+            lock.close()
 
 
 @contextmanager
@@ -134,18 +232,20 @@ def end_trial(journal: Journal, number: int, result: TrialResult) -> None:
         journal.known.tell(trial, state=TrialState.PRUNED, skip_if_finished=True)
 
 
-def run_trial(path: Path, number: int, *, reporter: StudyReporter | None = None, permissions: Permissions = Permissions()) -> TrialResult:
-    """Train or continue the runs of a trial whose values are known, and evaluate their best models. The caller has its lock.
+def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
+    """Train or continue the runs of a trial, and evaluate their best models. The caller has its lock.
 
-    It needs the folder of the study only, so that it can be called in any process. Evaluations of the trainings go to the journal.
+    Evaluations of the trainings go to the journal. Reports are `TrialProgress`.
 
     Raises:
         RunError: The study is damaged.
     """
-    study, reporter = Study.open(path), reporter or StudyReporter()
+    study, number, permissions = Study.open(taken.study), taken.number, taken.permissions
     record, folder, journal = study.record, study.trial_folder(number), study.connect()
-    follower = _Follower(study, journal, number, study.compiled().program, reporter)
-    options: dict[str, Any] = {"progress": reporter, "on_seed": follower.begin_seed, "on_evaluation": follower.add_evaluation}
+    if attempt.number > 1 and not has_ended(folder):  # on a node that was lost and works on
+        return TrialResult("running")
+    follower = _Follower(study, journal, number, study.compiled().program, attempt)
+    options: dict[str, Any] = {"progress": follower, "on_seed": follower.begin_seed, "on_evaluation": follower.add_evaluation}
     try:
         if folder_kind(folder) is SourceKind.GROUP:
             trained = resume_group(folder, permissions=permissions, **options)
@@ -216,7 +316,7 @@ def score(objective: Objective, solved: Solved | None, mean_return: float, succe
     return 1.0 + gap / (1.0 + gap)
 
 
-class _Follower:
+class _Follower(Reporter):
     """Reports the evaluations of the trainings of a trial to the journal, and says when the trial is pruned.
 
     After each evaluation, the best one so far has a score. At `GRID` points of each training, the mean of this score and those of the
@@ -224,8 +324,9 @@ class _Follower:
     point. Everything is read from the files of the runs, so a trial that is continued reports the same.
     """
 
-    def __init__(self, study: Study, journal: Journal, number: int, program: Program, reporter: StudyReporter) -> None:
-        self._study, self._journal, self._reporter = study, journal, reporter
+    def __init__(self, study: Study, journal: Journal, number: int, program: Program, attempt: Attempt) -> None:
+        self._study, self._journal, self._attempt = study, journal, attempt
+        self._seed = (0, 0, 0)
         self._trial = journal.trial(number)
         self._runs = [study.trial_folder(number) / f"seed-{seed}" for seed in study.record.seeds]
         self._last_stage = program.curriculum[-1].name if program.curriculum else None
@@ -234,9 +335,15 @@ class _Follower:
     def begin_seed(self, seed: int, number: int, count: int) -> bool:
         """Whether to train a seed: not after the trial was pruned."""
         if not self.is_pruned():
-            self._reporter.begin_seed(seed, number, count)
+            self._seed = (seed, number, count)
             return True
         return False
+
+    def note(self, text: str) -> None:
+        self._attempt.note(text.partition(";")[0])  # without how to continue this training
+
+    def update(self, progress: TrainingProgress) -> None:
+        self._attempt.report(TrialProgress(*self._seed, progress))
 
     def add_evaluation(self, run: Path) -> str | None:
         """Called after each evaluation of a training."""

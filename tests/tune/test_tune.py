@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -18,7 +20,7 @@ from deepbots_cli.learning import trials
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.listing import list_runs, read_listed
 from deepbots_cli.learning.run import RunRecord
-from deepbots_cli.learning.study import SeedScore, Study, TrialResult, create_study
+from deepbots_cli.learning.study import SeedScore, Study, StudyReporter, TrialProgress, TrialResult, create_study
 from deepbots_cli.learning.trials import end_trial, next_trial, run_study, score
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.source import Source
@@ -44,10 +46,8 @@ from deepbots_cli.learning import study, trials
 assert "optuna" not in sys.modules
 
 class Killed(study.StudyReporter):
-    def begin_trial(self, trial): self.number = trial.number
-    def begin_seed(self, seed, number, count): self.seed = seed
-    def update(self, progress):
-        if (self.number, self.seed) == (1, 0) and progress.steps > 150:
+    def update(self, number, progress):
+        if (number, progress.seed) == (1, 0) and progress.training.steps > 150:
             os._exit(9)
 
 trials.run_study(study.Study.open(sys.argv[1]), reporter=Killed())
@@ -73,6 +73,10 @@ def whole(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Study:
     return study
 
 
+def results(study: Study) -> list[object]:
+    return [(trial.number, trial.state, trial.values, trial.score, trial.seeds) for trial in study.trials()]
+
+
 def weights(study: Study) -> list[str]:
     runs = [run for group in study.groups for run in Group.open(group).runs]
     return [result.weights_digest for run in runs if (result := RunRecord.read(run).result) is not None]
@@ -84,10 +88,31 @@ def test_a_study_whose_driver_was_killed_continues_to_the_same_trials(file: Path
     assert driver.returncode == 9, driver.stderr
     assert [trial.state for trial in study.trials()] == ["complete", "running"]
     assert run_study(study)
-    expected = [(trial.number, trial.state, trial.values, trial.score, trial.seeds) for trial in whole.trials()]
-    assert [(trial.number, trial.state, trial.values, trial.score, trial.seeds) for trial in study.trials()] == expected
+    assert results(study) == results(whole)
     assert weights(study) == weights(whole)
     assert len(RunRecord.read(study.path / "trial-1" / "seed-0").resumed_at) == 1
+
+
+@pytest.mark.slow
+def test_trials_on_workers_give_the_same_after_a_worker_was_killed(file: Path, whole: Study, tmp_path: Path) -> None:
+    pytest.importorskip("ray")
+    from deepbots_cli.cluster import Cluster
+    from tests.cluster.test_cluster_shards import children
+
+    killed: list[int] = []
+
+    class Killer(StudyReporter):
+        def update(self, number: int, progress: TrialProgress) -> None:
+            if not killed:
+                os.kill(children("ray::perform")[0], signal.SIGKILL)
+                killed.append(number)
+
+    study = made(file, tmp_path / "workers", prune=False)
+    with Cluster(workers=2) as workers:
+        assert run_study(study, reporter=Killer(), spread=workers)
+    assert killed
+    assert results(study) == results(whole)
+    assert weights(study) == weights(whole)
 
 
 def test_the_first_trial_has_the_values_of_the_scenario(whole: Study) -> None:

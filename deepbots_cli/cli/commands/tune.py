@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from shlex import quote
 from statistics import fmean
@@ -13,15 +15,17 @@ from typing import Annotated, Any, get_args
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.cli import terminal
+from deepbots_cli.cli import processes, terminal
 from deepbots_cli.cli.command import (
     ADVANCED,
     MAX_SEED,
     MAX_SEEDS,
     OUTPUT,
+    ClusterAddress,
     Engine,
     Json,
     Overrides,
+    Workers,
     integer,
     option,
     seed_list,
@@ -35,10 +39,9 @@ from deepbots_cli.document import Permissions, files, shipped, to_data
 from deepbots_cli.document.layout import assigned_text
 from deepbots_cli.document.load import setting_path
 from deepbots_cli.engine_kinds import with_engine
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.files import atomic_write
-from deepbots_cli.learning.report import TrainingProgress
-from deepbots_cli.learning.study import Objective, Study, StudyReporter, StudyTrial, create_study
+from deepbots_cli.learning.study import Objective, Study, StudyReporter, StudyTrial, TrialProgress, create_study
 from deepbots_cli.learning.trials import run_study
 from deepbots_cli.rollout.source import Source, SourceKind
 
@@ -84,6 +87,8 @@ def command(
     resume: Annotated[Path | None, option("--resume STUDY", "Continue this study, also while other processes work on it.")] = None,
     apply: Annotated[bool, option("--apply", "With --resume, write the best values into the scenario file and run no trial.")] = False,
     prune: Annotated[bool | None, option("--prune/--no-prune", "End trials early that are worse than the median.", ADVANCED)] = None,
+    workers: Workers = None,
+    address: ClusterAddress = None,
     engine: Engine = None,
     quiet: Annotated[bool, option("--quiet -q", "Print no progress.", OUTPUT)] = False,
     as_json: Json = False,
@@ -102,13 +107,14 @@ def command(
     \b
       deepbots tune cartpole --param train.learning_rate=1e-4..1e-2:log --trials 20 --seeds 3
       deepbots tune mine.yaml --param fall_angle=10..20deg --param train.network.activation='tanh|relu'
-      deepbots tune mine.yaml
+      deepbots tune mine.yaml --workers 4
       deepbots tune --resume runs/cartpole-tune-1 --trials 40
       deepbots tune --resume runs/cartpole-tune-1 --apply mine.yaml
 
     A study is a folder with a group of runs for each trial: `deepbots runs STUDY` lists them, and `eval`, `compare`, `plot` and `report`
     take each of them. Several processes may work on one study: start `deepbots tune --resume STUDY` in each. A study that was interrupted
-    continues with the trials that were begun, each from its last checkpoint. --trials is the number in all.
+    continues with the trials that were begun, each from its last checkpoint. --trials is the number in all. With --workers N, N trials
+    run at a time; the values of later trials then depend on which trials end first.
 
     The score of the objective `solved` is the fraction of the timesteps until the task is solved, the mean over the seeds; a seed that does
     not solve it counts 1 to 2, by its distance from what `solved` requires. The best of many trials looks better than it is: confirm it
@@ -117,11 +123,12 @@ def command(
     Next: `deepbots report STUDY` shows the history, which values matter, and slices.
     """
     if resume is not None:
-        given = (params, overrides, seeds, timesteps, objective, run, prune, engine, seed or None, None if apply else scenario)
+        others = (workers, address) if apply else (scenario,)
+        given = (params, overrides, seeds, timesteps, objective, run, prune, engine, seed or None, *others)
         if any(option is not None for option in given):
             raise UsageError(
                 "--resume continues with the scenario and options of the study; only these options can be added: --trials, --apply,"
-                " --quiet, --allow-code, --json"
+                " --workers, --cluster, --quiet, --allow-code, --json"
             )
         study = Study.open(resume)
         if apply:
@@ -143,11 +150,16 @@ def command(
         study = create_study(
             checked, folder=run, seeds=None if seeds is None else _seeds(seeds), command=["deepbots", *sys.argv[1:]], **settings
         )
-    display = _Display(study, quiet=quiet)
-    try:
-        done = run_study(study, reporter=display, permissions=permissions)
-    finally:
-        display.stop()
+    with ExitStack() as stack:
+        try:
+            spread = stack.enter_context(processes.spread(workers, address, study.record.trials, quiet=quiet))
+        except (DeepbotsError, KeyboardInterrupt):
+            if resume is None:
+                shutil.rmtree(study.path, ignore_errors=True)
+            raise
+        display = _Display(study, quiet=quiet)
+        stack.callback(display.stop)
+        done = run_study(study, reporter=display, permissions=permissions, spread=spread)
     _show(study, done=done, as_json=as_json)
 
 
@@ -195,7 +207,8 @@ class _Display(StudyReporter):
     def __init__(self, study: Study, *, quiet: bool) -> None:
         self._study, self._quiet, self._best = study, quiet, ""
         self._line = terminal.LiveLine() if not quiet else None
-        self._trial = self._seed = ""
+        self._begun: dict[int, StudyTrial] = {}
+        self._at_work: dict[int, TrialProgress] = {}
         self._noted: set[str] = set()
         record = study.record
         if not quiet:
@@ -209,30 +222,33 @@ class _Display(StudyReporter):
                 terminal.note(f"note: {', '.join(task)} may change the task itself; each trial is evaluated in its own task")
 
     def note(self, text: str) -> None:
-        """A note of a training, each once, without how to continue this training."""
-        words = text.partition(";")[0]
-        if not self._quiet and words not in self._noted:
-            self._noted.add(words)
+        if not self._quiet and text not in self._noted:  # all trainings may have the same
+            self._noted.add(text)
             self.stop()
-            terminal.note(f"note: {words}")
+            terminal.note(f"note: {text}")
 
     def begin_trial(self, trial: StudyTrial) -> None:
-        self._trial = f"trial {trial.number}: {_settings(trial.values)}"
+        self._begun[trial.number] = trial
 
-    def begin_seed(self, seed: int, number: int, count: int) -> None:
-        self._seed = f"seed {seed}, {number} of {count}"
-
-    def update(self, progress: TrainingProgress) -> None:
+    def update(self, number: int, progress: TrialProgress) -> None:
+        self._at_work[number] = progress
         if self._line is not None:
-            self._line.show(
-                "  ".join(filter(None, [f"{self._seed}: {progress.steps:,} of {progress.total_steps:,} steps", self._trial, self._best]))
-            )
+            self._line.show("  ".join(filter(None, [self._work(), self._best])))
+
+    def _work(self) -> str:
+        """How far the trials at work are."""
+        if len(self._at_work) > 1:
+            return "at work: " + ", ".join(f"trial {number} ({each.fraction:.0%})" for number, each in self._at_work.items())
+        ((number, each),) = self._at_work.items()
+        steps = f"{each.training.steps:,} of {each.training.total_steps:,} steps"
+        return f"seed {each.seed}, {each.place} of {each.count}: {steps}  trial {number}: {_settings(self._begun[number].values)}"
 
     def stop(self) -> None:
         if self._line is not None:
             self._line.clear()
 
     def end_trial(self, trial: StudyTrial) -> None:
+        self._at_work.pop(trial.number, None)
         if self._line is None:
             return
         self._line.clear()
