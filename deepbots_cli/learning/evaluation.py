@@ -6,9 +6,10 @@ import math
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
+from itertools import chain, pairwise
 from pathlib import Path
 from shlex import quote
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 
@@ -25,12 +26,14 @@ from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.run import ModelName, Run, in_parentheses, remark_on_episodes
 from deepbots_cli.learning.sb3.algorithms import torch_settings
+from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, Spread, Watcher, results
 from deepbots_cli.learning.verdict import solved_verdict
 from deepbots_cli.program import identity
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import RANDOM, ZERO, named_driver
 from deepbots_cli.rollout.episode import OnEpisode
 from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE, StopCondition, play_batch, play_episodes
+from deepbots_cli.rollout.source import RECORD_NAME
 from deepbots_cli.rollout.worlds import has_copies
 from deepbots_cli.runtime.spaces import action_space, observation_space
 from deepbots_cli.runtime.streams import derive_seed
@@ -115,6 +118,7 @@ def evaluate(
     build: WorldFactory | None = None,
     on_episode: OnEpisode | None = None,
     until: StopCondition | None = None,
+    spread: Spread = ONE_BY_ONE,
 ) -> EvaluationResult:
     """Evaluate the policy of a run on episodes that it was not trained on.
 
@@ -138,31 +142,72 @@ def evaluate(
         build: Function that makes a world of the scenario, in place of the generated supervisor.
         on_episode: Called after each episode with the number of finished episodes and the number of all episodes.
         until: Called with the first k episodes for k = 1, 2, ...; return True to stop. The result then contains only these k episodes.
+        spread: Where the episodes run; the result does not depend on it.
 
     Raises:
         RunError: The folder is not a run, is damaged, or does not match `scenario`; the message lists the differences by field.
         UsageError: A number is out of range.
     """
     setting = _Setting(run, episodes, seed, scenario, case, stage, permissions, engine, build)
-    known, program, count, make, engine = setting.run, setting.program, setting.episodes, setting.build, setting.engine or ""
-    seeds = [derive_seed(setting.seed, "evaluation", k) for k in range(count)]
-    with torch_settings(), ExitStack() as stack:
-        done: list[Episode] | None = None
-        together = min(count, MAX_BATCH_WORLDS)
-        if deterministic and copies is None and not reasons_against_batch(program, together, engine, make):
-            many = stack.enter_context(closing(build_batch(program, together, engine=engine)))
-            policy = load_model(known, model, many.singles[0])
-            done = play_batch(policy, many, seeds, on_episode=on_episode, until=until)
-        if done is None:
-            worlds = []
-            for _ in range(min(count, max(1, min(copies or FORWARD_BATCH_SIZE, FORWARD_BATCH_SIZE)) if deterministic else 1)):
-                worlds.append(
-                    FailureRecorder(make(program), known if scenario is None else None, program, seeds=seeds, case=case, stage=stage)
-                )
-                stack.callback(worlds[-1].close)
-            policy = load_model(known, model, worlds[0])
-            done = play_episodes(policy, worlds, seeds, deterministic=deterministic, on_episode=on_episode, until=until)
+    policy = _Policy(model, deterministic, copies)
+    rounds = math.ceil(setting.episodes / FORWARD_BATCH_SIZE)
+    if spread.is_here or rounds == 1:
+        done = setting.play(range(setting.episodes), policy, on_episode, until)
+        return setting.result(model, done, deterministic=deterministic)
+    if build is not None:
+        raise UsageError("`build` makes worlds in this process only; leave out the workers")
+    parts = min(spread.workers, rounds)
+    # Each begins with row 0 of a forward pass, as in this process.
+    bounds = [min(setting.episodes, FORWARD_BATCH_SIZE * (rounds * part // parts)) for part in range(parts + 1)]
+    given: dict[str, Any] = {"episodes": episodes, "seed": seed, "scenario": setting.judged, "case": case, "stage": stage}
+    given |= {"permissions": permissions, "engine": engine}
+    calls = [_Part(setting.run, given, range(*part), policy) for part in pairwise(bounds)]
+    watcher = _Finished(on_episode, setting.episodes)
+    done = []
+    with closing(results(spread.map(_play_part, calls, watcher=watcher, files=[setting.run.path / RECORD_NAME]))) as found:
+        for episode in chain.from_iterable(found):
+            done.append(episode)
+            if until is not None and until(done):
+                break
     return setting.result(model, done, deterministic=deterministic)
+
+
+@dataclass(frozen=True)
+class _Policy:
+    """How `evaluate` takes actions, with its arguments of these names."""
+
+    model: ModelName
+    deterministic: bool
+    copies: int | None
+
+
+class _Part(NamedTuple):
+    """Some of the episodes of an evaluation; `options` are those of a `_Setting`."""
+
+    run: Run
+    options: dict[str, Any]
+    numbers: range
+    policy: _Policy
+
+
+def _play_part(part: _Part, attempt: Attempt) -> list[Episode]:
+    return _Setting(part.run, **part.options).play(part.numbers, part.policy, lambda done, of: attempt.report(done))
+
+
+class _Finished(Watcher):
+    """Calls a function with the number of finished episodes of all parts."""
+
+    def __init__(self, show: OnEpisode | None, total: int) -> None:
+        self._show, self._done, self._total = show, {0: 0}, total
+
+    def on_report(self, item: int, value: object) -> None:
+        if isinstance(value, int) and value > self._done.get(item, 0):  # a part that is repeated begins again
+            self._done[item] = value
+            if self._show is not None:
+                self._show(sum(self._done.values()), self._total)
+
+    def on_done(self, item: int, outcome: object) -> None:
+        self.on_report(item, len(outcome) if isinstance(outcome, list) else None)
 
 
 def until_enough(result: EvaluationResult, until: StopCondition, run: Run, **options: Any) -> EvaluationResult:
@@ -275,6 +320,29 @@ class _Setting:
         engine = engine or run.engine_for(self.program)
         self.engine = None if build else engine
         self.build = build or supervisor_factory(engine, permissions=permissions)
+
+    def play(
+        self, numbers: range, policy: _Policy, on_episode: OnEpisode | None = None, until: StopCondition | None = None
+    ) -> list[Episode]:
+        """The episodes of these numbers, the first of which is a multiple of `FORWARD_BATCH_SIZE`."""
+        program, make, engine, count = self.program, self.build, self.engine or "", len(numbers)
+        every = [derive_seed(self.seed, "evaluation", k) for k in range(numbers.stop)]
+        seeds = every[numbers.start :]
+        with torch_settings(), ExitStack() as stack:
+            together = min(count, MAX_BATCH_WORLDS)
+            if policy.deterministic and policy.copies is None and not reasons_against_batch(program, together, engine, make):
+                many = stack.enter_context(closing(build_batch(program, together, engine=engine)))
+                model = load_model(self.run, policy.model, many.singles[0])
+                done = play_batch(model, many, seeds, on_episode=on_episode, until=until)
+                if done is not None:
+                    return done
+            run, worlds = self.run if self.judged is None else None, []
+            copies = max(1, min(policy.copies or FORWARD_BATCH_SIZE, FORWARD_BATCH_SIZE)) if policy.deterministic else 1
+            for _ in range(min(count, copies)):
+                worlds.append(FailureRecorder(make(program), run, program, seeds=every, case=self.case, stage=self.stage))
+                stack.callback(worlds[-1].close)
+            model = load_model(self.run, policy.model, worlds[0])
+            return play_episodes(model, worlds, seeds, deterministic=policy.deterministic, on_episode=on_episode, until=until)
 
     def result(self, model: str, done: Sequence[Episode], *, deterministic: bool = True) -> EvaluationResult:
         """What these episodes come to."""

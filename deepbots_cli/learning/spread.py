@@ -91,6 +91,10 @@ class Spread(Protocol):
     def is_here(self) -> bool:
         """Whether calls run in this process, one after the other."""
 
+    @property
+    def workers(self) -> int:
+        """The number of calls at a time."""
+
     def map(
         self, function: Callable[[Item, Attempt], Result], items: Iterable[Item], **options: Unpack[CallOptions]
     ) -> Generator[Result | DeepbotsError | None]:
@@ -110,6 +114,7 @@ class Spread(Protocol):
 
 class _ThisProcess:
     is_here = True
+    workers = 1
 
     def map(
         self, function: Callable[[Item, Attempt], Result], items: Iterable[Item], **options: Unpack[CallOptions]

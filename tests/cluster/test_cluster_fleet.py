@@ -21,7 +21,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.cli import main
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.learning import evaluate_group, resume_group, train_group
+from deepbots_cli.learning import evaluate, evaluate_group, resume_group, train_group
 from deepbots_cli.learning.group import GroupTraining
 from deepbots_cli.learning.report import GroupProgressReporter, TrainingProgress, to_json
 from deepbots_cli.learning.run import TrainingResult
@@ -187,7 +187,19 @@ def test_evaluations_on_workers_are_the_same_and_stop_at_the_same_episode(cluste
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["eval", "compare", "robustness", "test"])
+@pytest.mark.parametrize("options", [{}, {"deterministic": False}, {"until": lambda done: len(done) >= 11}])
+def test_the_episodes_of_an_evaluation_on_workers_are_the_same(
+    cluster: Cluster, trained_here: GroupTraining, options: dict[str, Any]
+) -> None:
+    run, shown = trained_here.group / "seed-0", [0]
+    here = evaluate(run, episodes=21, **options)
+    workers = evaluate(run, episodes=21, spread=cluster, on_episode=lambda done, of: shown.append(done), **options)
+    assert to_json(workers) == to_json(here)
+    assert shown == sorted(set(shown))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["eval", "eval run", "compare", "robustness", "test"])
 def test_commands_print_the_same_with_workers(
     command: str, trained_here: GroupTraining, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -198,13 +210,14 @@ def test_commands_print_the_same_with_workers(
     group = str(trained_here.group)
     arguments = {
         "eval": [group, "--episodes", "5"],
+        "eval run": [f"{group}/seed-0", "--episodes", "9", "--json"],
         "compare": [group, "--episodes", "5", "--json"],
         "robustness": [f"{group}/seed-0", "--episodes", "2", "--json"],
         "test": ["cartpole", "find_ball", "--json"],
     }[command]
     printed = []
     for workers in ([], ["--workers", "2"]):
-        code = main([command, *arguments, *workers])
+        code = main([command.split()[0], *arguments, *workers])
         printed.append((code, re.sub(r'"seconds": [0-9.]+', "", capfd.readouterr().out)))
     assert printed[1] == printed[0]
     assert printed[0][0] == 0

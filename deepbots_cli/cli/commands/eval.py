@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -134,7 +135,7 @@ def command(
     The episodes begin with starts that the training does not use. The cases in `evaluation.cases` are evaluated too, with the same starts.
     --require-solved, --min-success and --min-return check the result without the cases. With --case or --stage, they check the result
     in that case or stage. For a group, every seed is evaluated on the same starts, and the requirements apply to the means over the seeds.
-    With --workers N, N runs of a group are evaluated at a time, with the same results.
+    --workers N divides the episodes of a run among N processes, or the runs of a group, with the same results.
 
     With --min-success or --min-return, the evaluation of a run stops early once the answer is clear. That is the case when the remaining
     episodes can no longer change the answer, or when the required value lies outside a 95 % confidence sequence of the result. The
@@ -196,32 +197,37 @@ def command(
         with processes.spread(workers, address, count) as spread:
             _evaluate_group(run, scenarios, gates, csv=csv, junit=junit, as_json=as_json, spread=spread, **chosen)
         return
-    processes.check_dividable(workers, address, 1, f"{run} is a single run; name a group")
     known = Run.open(source.path)
     chosen |= {"seed": seed}
+    compiled = [evaluation_scenario(source, known.record.engine, scenario, overrides, name) for name in several]
+    programs = [known.program if each is None else each.program for each in compiled]
+    for program in programs:
+        gates.check(program)
+        program.variant(case, stage)
+    planned = [episodes or (each.evaluation.episodes if case is None else each.case(case).episodes) for each in programs]
     with terminal.transient_line("loading the policy ..."):
-        evaluate = learning.evaluate  # which imports torch
+        from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE  # which imports torch
+    parts = math.ceil(max(planned) / FORWARD_BATCH_SIZE)
+    reason = f"up to {FORWARD_BATCH_SIZE} episodes run on one worker; choose more with --episodes N"
+    processes.check_dividable(workers, address, parts, reason)
     found: list[_EngineEvaluations] = []
     requirements: list[Requirement] = []
-    for name in several:
-        compiled = evaluation_scenario(source, known.record.engine, scenario, overrides, name)
-        program = known.program if compiled is None else compiled.program
-        gates.check(program)
-        usual = program.evaluation.episodes if case is None else program.case(case).episodes
-        until = gates.stop_condition(program.variant(case, stage), episodes or usual) if len(several) == 1 else None
-        with terminal.progress("episodes" if name is None else f"episodes in {name}", always=False) as show_episode:
-            options = chosen | {"scenario": compiled, "engine": name, "on_episode": show_episode}
-            result = evaluate(known, case=case, stage=stage, until=until, **options)
-            alone = case is not None or stage is not None
-            cases = () if alone else learning.evaluate_cases(known, stages=details, **options)
-            scripted: Sequence[EvaluationResult] = ()
-            if baselines:
-                options = {key: value for key, value in options.items() if key not in ("model", "deterministic")}
-                scripted = learning.evaluate_baselines(known, case=case, stage=stage, **options | {"episodes": result.episodes})
-        found.append(_EngineEvaluations(result, cases, scripted, scenario_label(known, scenario, overrides or (), compiled)))
-        records.write_evaluation(known, found[-1].as_json())
-        of = f"{result.engine}: " if len(several) > 1 else ""
-        requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements(result, episodes or usual)]
+    with processes.spread(workers, address, parts) as spread:
+        for name, judged, program, count in zip(several, compiled, programs, planned, strict=True):
+            until = gates.stop_condition(program.variant(case, stage), count) if len(several) == 1 else None
+            with terminal.progress("episodes" if name is None else f"episodes in {name}", always=False) as show_episode:
+                options = chosen | {"scenario": judged, "engine": name, "on_episode": show_episode}
+                result = learning.evaluate(known, case=case, stage=stage, until=until, spread=spread, **options)
+                alone = case is not None or stage is not None
+                cases = () if alone else learning.evaluate_cases(known, stages=details, spread=spread, **options)
+                scripted: Sequence[EvaluationResult] = ()
+                if baselines:
+                    options = {key: value for key, value in options.items() if key not in ("model", "deterministic")}
+                    scripted = learning.evaluate_baselines(known, case=case, stage=stage, **options | {"episodes": result.episodes})
+            found.append(_EngineEvaluations(result, cases, scripted, scenario_label(known, scenario, overrides or (), judged)))
+            records.write_evaluation(known, found[-1].as_json())
+            of = f"{result.engine}: " if len(several) > 1 else ""
+            requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements(result, count)]
     if csv is not None:
         records.write_csv(csv, [each for one in found for each in (one.result, *one.cases, *one.baselines)])
     if len(found) > 1:
