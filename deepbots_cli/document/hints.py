@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from yaml.error import MarkedYAMLError
 
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Source, Span
-from deepbots_cli.document.nodes import ScalarNode
+from deepbots_cli.document.nodes import Node, ScalarNode
 
 GIVE_A_VALUE = "write a value, or remove the key"
 """The help for an empty key, until a later pass knows what the key takes."""
@@ -224,6 +224,8 @@ _HAS_COLON = re.compile(r"\s*:")
 _HIDDEN = re.compile(r":?[ \t]+(#[^\s#]\S*)")
 _COLOR = re.compile(r"#[0-9A-Fa-f]{6}")
 _NEXT_LINE = re.compile(r"[^\n]*\n(?:[ \t]*(?:#[^\n]*)?\r?\n)*([ ]*)[^\s#}\]]")
+_WHOLE_PART, _DECIMALS = re.compile(r"(?<![\w.])[0-9]+$"), re.compile(r",[0-9]")
+_THOUSANDS = re.compile(r",\d{3}(?!\d)")
 _COMMA_HELP = "inside brackets, a comma separates keys: write decimals with a point, group digits as in 100_000, and "
 
 
@@ -256,6 +258,31 @@ def report_values_cut_by_commas(scalars: Iterable[ScalarNode], findings: Finding
             help, fix = f"write the draw without a comma: `{better}`", Fix((Edit(span, better),), safe=True)
         elif chosen := _WHERE.fullmatch(text):
             help, fix = f"write `{chosen[2]} if {chosen[1]} else {chosen[3]}`", None
+        findings.add("DB001", span, "a comma inside brackets cuts this value in two", help, fix=fix)
+    return cut
+
+
+def report_decimal_commas(pairs: Iterable[tuple[ScalarNode | None, Node | None]], findings: Findings) -> list[Span]:
+    """Report numbers that a comma inside `{...}` cuts in two, and return the spans of their values.
+
+    `pairs` are the keys and values of the mapping, in file order. In `{y: 1,5 cm}`, the value of `y` is `1`, and the key `5 cm` has none.
+    """
+    cut: list[Span] = []
+    last: Span | None = None
+    for key, value in pairs:
+        is_empty = isinstance(value, ScalarNode) and value.style == "plain" and not value.text
+        behind = key.span.source.text[last.end : key.span.start + 1] if last and key and is_empty else ""
+        if last and key and _DECIMALS.fullmatch(behind) and _WHOLE_PART.search(last.text):
+            start = cut.pop().start if cut and cut[-1].end == last.end else last.start
+            cut.append(Span(key.span.source, start, key.span.end))
+        last = key.span if key and is_empty else value.span if isinstance(value, ScalarNode) and value.style == "plain" else None
+    for span in cut:
+        text, fix = span.text.replace(",", "."), None
+        help = f"write a decimal point: `{text}`"
+        if _THOUSANDS.search(span.text):
+            help = f"write a decimal point, `{text}`, or group the digits, `{span.text.replace(',', '_')}`"
+        else:
+            fix = Fix((Edit(span, text),), safe=False)
         findings.add("DB001", span, "a comma inside brackets cuts this value in two", help, fix=fix)
     return cut
 

@@ -204,7 +204,9 @@ class _Builder:
         pairs = [(self.key(event, depth), self.node(next(self.events), depth + 1)) for event in self.children()]
         span = self.close(start)
         scalars = [part for pair in pairs for part in pair if isinstance(part, ScalarNode)]
-        cut = hints.report_values_cut_by_commas(scalars, self.findings) if start.flow_style else []
+        cut = []
+        if start.flow_style:
+            cut = hints.report_values_cut_by_commas(scalars, self.findings) or hints.report_decimal_commas(pairs, self.findings)
         entries: dict[str, Entry] = {}
         keys_without_value: list[ScalarNode] = []
         seen: dict[str, ScalarNode] = {}

@@ -149,9 +149,10 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
     if kind == "extra_forbidden":
         headline = f"unknown key `{str(path[-1])[:60]}` {_place(path[:-1])}"
         near = replacement_for(data, path)
-        help = _help_for_renamed(root, data, path) or _help_for_unknown(data, path) or about_key(data, path)
-        key_node = descend(root, path)[1]
-        return _Problem(path, Finding("DB101", _key_span(root, path), headline, help, fix=_fix(key_node, near)), replacement=near)
+        help, fits_there = _help_for_renamed(root, data, path)
+        help = help or _help_for_unknown(data, path) or about_key(data, path)
+        fix = _fix(descend(root, path)[1], near) if fits_there else None
+        return _Problem(path, Finding("DB101", _key_span(root, path), headline, help, fix=fix), replacement=near)
     node, key_node, _ = descend(root, path)
     at_key = path[-1:] == ("[key]",) and not (isinstance(node, nodes.MappingNode) and "[key]" in node.entries)
     path = path[:-1] if at_key else path
@@ -373,17 +374,18 @@ def about_key(data: object, path: NodePath) -> str | None:
     return f"`{key}`: {text[:1].lower()}{text[1:]}{shown}"
 
 
-def _help_for_renamed(root: nodes.MappingNode, data: object, path: NodePath) -> str | None:
-    """The help for a word that is written instead of a key: the entry with the key, if it stands on one line and fits."""
+def _help_for_renamed(root: nodes.MappingNode, data: object, path: NodePath) -> tuple[str | None, bool]:
+    """The help for a word that is written instead of a key: the entry with the key, if it is on one line and fits; and whether it fits."""
     section, (value, word, _) = shape_at(Scenario, data, path[:-1]), descend(root, path)
     key = key_instead_of(section, str(path[-1])) if isinstance(section, type) else None
     if key is None or word is None:
-        return None
+        return None, True
     if not fits(section_fields(section)[key], to_data(value)):
         elsewhere = SET_ELSEWHERE_HELP.get(str(path[-1])) if isinstance(section, type) and issubclass(section, Training) else None
-        return elsewhere or f"write `{key}` instead. {about_key(data, (*path[:-1], key))}"
+        return elsewhere or f"write `{key}` instead. {about_key(data, (*path[:-1], key))}", False
     behind = word.span.source.text[word.span.end : value.span.end] if value.span.source is word.span.source else ""
-    return f"write `{key}{behind}`" if re.fullmatch(rf":[^\n]{{1,{_MAX_EXAMPLE_CHARACTERS}}}", behind) else f"write `{key}`"
+    is_short = re.fullmatch(rf":[^\n]{{1,{_MAX_EXAMPLE_CHARACTERS}}}", behind)
+    return f"write `{key}{behind if is_short else ''}`", True
 
 
 def _help_for_unknown(data: object, path: NodePath) -> str | None:

@@ -74,6 +74,15 @@ def test_a_decimal_comma_and_a_component_are_guessed_within_what_stands_around_t
     assert f"alive: {mended}\n" in path.read_text()
 
 
+@pytest.mark.parametrize(
+    "change", [("cart: {z: 0.04 m}", "cart: {z: 1,5 cm}"), ("  algorithm: PPO", "  algorithm: PPO\n  policy: MlpPolicy")]
+)
+def test_a_fix_that_only_moves_the_mistake_is_not_offered(deepbots, scenario, change):
+    path = scenario(text := faulty(change))
+    assert deepbots("lint", "a.yaml", "--fix").code == 1
+    assert path.read_text() == text
+
+
 @pytest.mark.parametrize("change", UNSAFE.values(), ids=UNSAFE.keys())
 def test_a_misspelled_name_is_put_right_only_where_guesses_are_allowed(deepbots, scenario, change):
     path = scenario(faulty(change))

@@ -247,8 +247,9 @@ def test_any_amount_of_repetition_ends_in_one_finding(text: str) -> None:
 
 def test_a_number_with_a_comma_in_braces_is_no_key_to_be_quoted() -> None:
     (finding,) = read("{max_steps: 2,000}")[1]
-    assert (finding.code, finding.span.text) == ("DB103", "000")
-    assert "100_000" in (finding.help or "")
+    assert (finding.code, finding.span.text) == ("DB001", "2,000")
+    assert finding.help == "write a decimal point, `2.000`, or group the digits, `2_000`"
+    assert finding.fix is None
     (finding,) = read("{3: a}")[1]
     assert finding.help == 'put it in quotes: "3"'
 
@@ -311,6 +312,9 @@ def told(node: Node) -> object:
 
 
 def test_a_decimal_comma_in_braces_is_told_from_a_key() -> None:
-    (finding,) = read("{x: 5 cm, y: -1,5 cm}")[1]
+    for text, value in [("-1,5 cm", "-1.5 cm"), ("-0,5 .. 0,5 m", "-0.5 .. 0.5 m"), ("0,99", "0.99")]:
+        node, (finding,) = read(f"{{x: 5 cm, y: {text}}}")
+        assert (finding.code, finding.span.text, to_data(node)) == ("DB001", text, {"x": "5 cm"})
+        assert finding.help == f"write a decimal point: `{value}`"
+    (finding,) = read("{x: 5 cm, y: a1,5 cm}")[1]
     assert (finding.code, finding.span.text) == ("DB107", "5 cm")
-    assert "write decimals with a point" in (finding.help or "")
