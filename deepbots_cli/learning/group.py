@@ -189,6 +189,9 @@ def train_group(
         raise TypeError(f"a training has no option {', '.join(sorted(unknown))}")
     if not seeds or len(set(seeds)) < len(seeds) or len(seeds) > MAX_SEEDS:
         raise UsageError(f"a group needs 1 to {MAX_SEEDS} different seeds")
+    from deepbots_cli.learning.training import checked_settings  # which imports torch
+
+    checked_settings(compiled.program, seeds, **options)
     path = new_directory(group, runs, compiled.program.name, "seeds")
     kept: dict[str, Any] = {**options}
     kept |= {name: tuple(kept.get(name, ())) for name in ("callbacks", "loggers", "command")}

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from shlex import quote
-from typing import Any
+from typing import Any, Unpack
 
 import deepbots_cli
 from deepbots_cli import api, engine_kinds
@@ -37,6 +37,7 @@ from deepbots_cli.learning.run import (
     RunRecord,
     RunResult,
     Status,
+    TrainingOptions,
     TrainingResult,
     new_directory,
     run_lock,
@@ -137,16 +138,11 @@ def train(
         DeepbotsError: The world, a callback or a logger failed; the message gives step and cause.
     """
     compiled = api.compile(scenario)
-    training = _training_of(compiled.program, total_timesteps, callbacks)
-    if not 0 <= seed < 2**63:
-        raise UsageError(f"the seed must be a whole number from 0 to {2**63 - 1}, not {seed}")
-    if not 0 <= keep_checkpoints <= 10_000:
-        raise UsageError(f"keep_checkpoints must be from 0 to 10000, not {keep_checkpoints}")
+    options: TrainingOptions = {"total_timesteps": total_timesteps, "stage": stage, "keep_checkpoints": keep_checkpoints}
+    options |= {"initialize_from": initialize_from, "callbacks": callbacks, "loggers": loggers}
+    training, source = checked_settings(compiled.program, [seed], **options)
     engine = engine_kinds.chosen(engine or compiled.program.engine)
     build = build or supervisor_factory(engine, permissions=compiled.permissions)
-    Curriculum(compiled.program, stage)
-    plugins.check(callbacks, loggers)
-    source = None if initialize_from is None else Run.open(initialize_from)
     taken_over = _validate_setup(compiled.program, training, build, source)
     path = new_directory(run, runs, compiled.program.name, seed)
     seeds = {f"environment/{i}": derive_seed(seed, "environment", i) for i in range(training.environments)}
@@ -186,6 +182,26 @@ def train(
         return run_training(
             new, training, checkpoints, build, reporter(progress), placement, on_evaluation=on_evaluation, on_iteration=on_iteration
         )
+
+
+def checked_settings(program: Program, seeds: Sequence[int], **options: Unpack[TrainingOptions]) -> tuple[Training, Run | None]:
+    """The training with the options of `train`, and the run that initializes it; these checks need no world.
+
+    Raises:
+        UsageError: An option does not fit the scenario, or names something that does not exist.
+        RunError: `initialize_from` is no run.
+    """
+    callbacks, loggers, keep_checkpoints = options.get("callbacks", ()), options.get("loggers", ()), options.get("keep_checkpoints", 0)
+    training = _training_of(program, options.get("total_timesteps"), callbacks)
+    for seed in seeds:
+        if not 0 <= seed < 2**63:
+            raise UsageError(f"the seed must be a whole number from 0 to {2**63 - 1}, not {seed}")
+    if not 0 <= keep_checkpoints <= 10_000:
+        raise UsageError(f"keep_checkpoints must be from 0 to 10000, not {keep_checkpoints}")
+    Curriculum(program, options.get("stage"))
+    plugins.check(callbacks, loggers)
+    source = options.get("initialize_from")
+    return training, None if source is None else Run.open(source)
 
 
 def resume(

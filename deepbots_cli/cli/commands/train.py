@@ -166,6 +166,10 @@ def command(
             )
         changes: dict[str, Any] = {"total_timesteps": timesteps, "stop_when_solved": False if full else None, "permissions": permissions}
         changes |= {"callbacks": _names(callbacks), "loggers": _names(loggers), "progress": progress}
+        if callbacks or loggers:
+            from deepbots_cli.learning.sb3 import plugins  # which imports torch
+
+            plugins.check(_names(callbacks) or (), _names(loggers) or ())
         if Source.open(resume, permissions, SourceKind.RUN, SourceKind.GROUP).kind is SourceKind.GROUP:
             with processes.spread(workers, address, len(Group.open(resume).record.seeds), quiet=quiet) as spread:
                 group = learning.resume_group(resume, on_seed=None if quiet else _announce_seed, spread=spread, **changes)
@@ -195,11 +199,12 @@ def command(
             "initialize_from": initialize_from,
             "callbacks": _names(callbacks) or (),
             "loggers": _names(loggers) or (),
-            "progress": progress,
             "command": ["deepbots", *sys.argv[1:]],
         }
         with terminal.transient_line("loading PyTorch ..." if progress else ""):
-            train = learning.train  # which imports torch
+            from deepbots_cli.learning.training import checked_settings  # which imports torch
+        checked_settings(compiled.program, listed or [seed or 0], **settings)
+        settings["progress"] = progress
         if progress:
             _announce(compiled.program, f"seeds {seeds}" if seeds else f"seed {seed or 0}", timesteps, full=full)
             if not as_json:
@@ -213,7 +218,7 @@ def command(
         with _page(wanted=to_view, permissions=permissions) as show_page, _placement(workers, address, quiet=quiet) as placement:
             if shards == "auto":
                 compiled = _with_fastest_shards(scenario, compiled, undivided, placement, seed or 0, permissions)
-            result = train(compiled, run=run, seed=seed or 0, on_start=show_page, placement=placement, **settings)
+            result = learning.train(compiled, run=run, seed=seed or 0, on_start=show_page, placement=placement, **settings)
     _finish(result, quiet=quiet, as_json=as_json, permissions=permissions)
 
 
