@@ -186,7 +186,7 @@ Driver = Annotated[
     option(
         "--driver NAME",
         "Who acts: `policy` (of a run), a script of the scenario, `random`, `zero` (the middle of each range, the first option of each"
-        " choice), or actions to repeat, such as forward,backward. By default the policy, else the first script, else random actions.",
+        " choice), or actions to repeat, such as forward*5,backward. By default the policy, else the first script, else random actions.",
         EPISODES,
     ),
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
@@ -82,12 +82,30 @@ def sequence_driver(actions: Iterable[Any]) -> Driver:
 def repeated_actions(world: gym.Env[Any, Any], text: str) -> Driver:
     """The actions in `text`, repeated without end. Commas separate actions, colons the parts of one action.
 
-    A part is the name or the index of an option, or a number from -1 to 1 for a range. All copies of a robot get the same action.
+    A part is the name or the index of an option, or a number from -1 to 1 for a range. `forward*8` is eight steps of the same action. In
+    place of an action, the name of a script lets the script act. All copies of a robot get the same action.
 
     Raises:
         UsageError: The scenario has no such action.
     """
-    return sequence_driver(cycle([_read_action(world, word.strip()) for word in text.split(",")]))
+    parts = [_read_repeated(world, word.strip()) for word in text.split(",")]
+    return sequence_driver(act() for act, times in cycle(parts) for _ in range(times))
+
+
+_MAX_DIGITS = 6
+
+
+def _read_repeated(world: gym.Env[Any, Any], word: str) -> tuple[Callable[[], Any], int]:
+    """What gives the action of each step, and the number of steps."""
+    text, star, times = word.partition("*")
+    if star and not (times.isdecimal() and len(times) <= _MAX_DIGITS and int(times)):
+        raise UsageError(f"'{word}' is not valid; write the number of steps after the asterisk, such as {text}*8")
+    agent = world.get_wrapper_attr("scenario").agent
+    options = {option.name for part in agent.choices for option in part.options}
+    if text in {script.name for script in agent.scripts} - options:
+        return partial(world.get_wrapper_attr("script"), text), int(times or 1)
+    action = _read_action(world, text)
+    return lambda: action, int(times or 1)
 
 
 def _read_action(world: gym.Env[Any, Any], text: str) -> Any:

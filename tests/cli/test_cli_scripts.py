@@ -52,6 +52,12 @@ def test_a_script_may_be_another_in_a_case(deepbots, scripted):
     assert ran(deepbots, *words, "--driver", "onward")["episodes"] == ran(deepbots, *words, "--driver", "backward")["episodes"]
 
 
+def test_actions_are_repeated_and_may_be_those_of_a_script(deepbots, scripted):
+    once = ran(deepbots, scripted, "--driver", "forward,forward,forward,backward")["episodes"]
+    assert ran(deepbots, scripted, "--driver", "onward*3,backward*1")["episodes"] == once
+    assert ran(deepbots, scripted, "--driver", "forward*3,backward")["episodes"] == once
+
+
 KNOWN = "the drivers are onward, catch, random, zero, and actions such as forward,backward\n"
 
 
@@ -61,6 +67,8 @@ KNOWN = "the drivers are onward, catch, random, zero, and actions such as forwar
         ("cach", f"error: there is no driver 'cach' (did you mean catch?); {KNOWN}"),
         ("best", f"error: there is no driver 'best'; {KNOWN}"),
         ("foward,backward", "error: 'drive' has no option 'foward'; its options are: forward, backward\n"),
+        ("onward*x", "error: 'onward*x' is not valid; write the number of steps after the asterisk, such as onward*8\n"),
+        ("catch*0", "error: 'catch*0' is not valid; write the number of steps after the asterisk, such as catch*8\n"),
         ("policy", "error: only a run has a policy; train one with `deepbots train`, and name the run instead of the scenario\n"),
         ("you", "error: you can drive in the browser only; use `deepbots play`\n"),
     ],
