@@ -312,14 +312,15 @@ def _rules() -> str:
         "",
         "Errors keep a scenario from being compiled; warnings do not, and can be suppressed. [Diagnostics](../diagnostics.md) describes"
         " the format of findings and the exit codes. A rule in preview may still give false positives, and runs with `--preview`. Rules"
-        " that need a simulation run with [`--deep`](../linting.md#simulating).",
+        " that need a simulation run with [`--deep`](../linting.md#simulating), those that search for exploits of the reward with"
+        " [`--exploits`](../linting.md#searching-for-exploits).",
         "",
         "| code | name | severity | by | what it is about |",
         "|---|---|---|---|---|",
     ]
     for rule in RULES.values():
         severity = f"{rule.severity}, in preview" if rule.preview else rule.severity
-        by = {"no": "text", "too": "text, simulation", "only": "simulation"}[rule.deep]
+        by = {"no": "text", "too": "text, simulation", "only": "simulation", "exploits": "search for exploits"}[rule.deep]
         lines.append(f"| {rule.code} | `{rule.name}` | {severity} | {by} | {_cell(rule.summary)} |")
     for page in every_page():
         lines += _rule_page(page)

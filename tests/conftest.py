@@ -76,9 +76,10 @@ def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lint simulates in this process: one of its own costs 1 s of CPU, and `lint/test_simulation_process.py` has it."""
     from deepbots_cli.compiler.inputs import Inputs
     from deepbots_cli.lint.rollouts import Simulator, compiled
+    from deepbots_cli.lint.search import ExploitSearch
     from deepbots_cli.lint.simulation import Limits, SimulationReport
 
-    def measure(inputs: Inputs, limits: Limits, permissions: Permissions) -> SimulationReport:
+    def measure(inputs: Inputs, limits: Limits, permissions: Permissions, search: bool = False) -> SimulationReport:
         report = SimulationReport()
 
         def write(entry: dict[str, object]) -> None:
@@ -89,7 +90,7 @@ def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
 
         with tempfile.TemporaryDirectory() as folder:
             inputs.write(Path(folder))
-            Simulator(compiled(Path(folder)), write, begin_step, permissions=permissions).run()
+            (ExploitSearch if search else Simulator)(compiled(Path(folder)), write, begin_step, permissions=permissions).run()
         report.add_line({"done": True})
         return report
 

@@ -10,6 +10,7 @@ tables.py      tables as text
 inspection.py  the tables of `inspect`
 records.py     results of trainings and evaluations as text, JSON, CSV and JUnit
 throughput.py  the measurements of `bench` for several engines and batches
+exploits.py    what `lint --exploits` keeps: recordings, and which tasks were searched
 starters/      the scenarios that `new` writes
 glossary.yaml  the glossary: what `explain` prints and docs/reference/glossary.md holds
 project/       templates of `compile --project`

@@ -294,14 +294,20 @@ class Selection:
     """
 
     def __init__(
-        self, select: RuleSelectors | None = None, ignore: RuleSelectors | None = None, *, preview: bool = False, deep: bool = False
+        self,
+        select: RuleSelectors | None = None,
+        ignore: RuleSelectors | None = None,
+        *,
+        preview: bool = False,
+        deep: bool = False,
+        exploits: bool = False,
     ) -> None:
         if select is not None and not select.words:
             raise UsageError(f"{select.source.name}: nothing is selected; leave 'select' out to select every rule")
         self._select = None if select is None else _codes(select)
         self._ignore = _codes(ignore) if ignore else {}
         self._preview = preview
-        self._deep = deep
+        self._ran = {"only": deep, "exploits": exploits}
         self._words = select or RuleSelectors((), Source("", ""))
 
     @property
@@ -324,10 +330,10 @@ class Selection:
             if rule.preview and not self._preview:
                 help = "add --preview (`preview = true`), or remove the code"
                 found.append(Finding("DB902", span, f"{rule.code} is in preview and does not run", help=help))
-            if rule.deep == "only" and not self._deep:
-                found.append(
-                    Finding("DB902", span, f"{rule.code} needs a simulation and does not run", help="add --deep, or remove the code")
-                )
+            if not self._ran.get(rule.deep, True):
+                option = "--deep" if rule.deep == "only" else "--exploits"
+                headline = f"{rule.code} needs a simulation and does not run"
+                found.append(Finding("DB902", span, headline, help=f"add {option}, or remove the code"))
         return found
 
     def _has(self, code: str) -> bool:
@@ -359,7 +365,7 @@ class _Suppression:
 
 
 def suppress(
-    findings: Iterable[Finding], sources: Iterable[Source], *, preview: bool = False, deep: bool = False
+    findings: Iterable[Finding], sources: Iterable[Source], *, preview: bool = False, deep: bool = False, exploits: bool = False
 ) -> tuple[list[Finding], list[Finding]]:
     """The findings that no comment suppresses, and a DB901 for each comment in `sources` that suppresses nothing.
 
@@ -381,7 +387,7 @@ def suppress(
             used.add(key)
         else:
             kept.append(finding)
-    unused += [_unused(entry) for key, entry in wanted.items() if key not in used and _could_be_found(entry.code, preview, deep)]
+    unused += [_unused(entry) for key, entry in wanted.items() if key not in used and _could_be_found(entry.code, preview, deep, exploits)]
     return kept, sorted(unused, key=lambda finding: finding.sort_key)
 
 
@@ -402,11 +408,13 @@ def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
             yield _Suppression(code[0], Span(source, *code.span()), line + 1 if alone else line, removal)
 
 
-def _could_be_found(code: str, preview: bool, deep: bool) -> bool:
+def _could_be_found(code: str, preview: bool, deep: bool, exploits: bool) -> bool:
     """Whether every part of the rule has run."""
     rule = RULES.get(code)
     if rule is None:
         return True
+    if rule.deep == "exploits":
+        return exploits
     return (preview or not rule.preview) and (rule.deep == "no" or (deep and (preview or not rule.deep_preview)))
 
 

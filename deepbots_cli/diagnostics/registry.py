@@ -21,7 +21,8 @@ class Rule:
     """One entry of the catalog.
 
     A rule in `preview` may still misfire and runs only on request. `deep` says whether a simulation (`lint --deep`) finds
-    it: `no`, `only`, or `too` where static analysis finds it as well. `deep_preview` puts only the simulated part in preview.
+    it: `no`, `only`, or `too` where static analysis finds it as well; `exploits` are found by `lint --exploits` only. `deep_preview`
+    puts only the simulated part in preview.
     """
 
     code: str
@@ -29,7 +30,7 @@ class Rule:
     severity: Severity
     summary: str
     preview: bool = False
-    deep: Literal["no", "too", "only"] = "no"
+    deep: Literal["no", "too", "only", "exploits"] = "no"
     deep_preview: bool = False
     check: Callable[[Any], Iterator[Any]] | None = None
     """For a plug-in: yields findings about a `compiler.CheckedScenario` without errors; its docstring is the page of the rule."""
@@ -140,6 +141,10 @@ _CATALOG = (
     Rule("DB709", "reward-beyond-the-goal", "error", "a reward that hindsight replay cannot recompute for another goal"),
     Rule("DB710", "pays-towards-failure", "warning", "a reward that grows towards a failure", preview=True),
     Rule("DB711", "nothing-to-learn", "warning", "a reward that is the same for all policies"),
+    Rule("DB712", "solved-without-success", "warning", "a driver without success comes near the mean return of `solved`", deep="exploits"),
+    Rule("DB713", "pays-without-success", "warning", "a driver without success pays more than a success", deep="exploits"),
+    Rule("DB714", "early-end-pays", "warning", "a driver that fails early pays more than one that goes on", deep="exploits"),
+    Rule("DB715", "repeatable-reward", "warning", "a reward for progress that can be earned again and again", deep="exploits"),
     Rule("DB801", "never-true", "warning", "an ending that can never be true"),
     Rule("DB802", "always-true", "error", "an ending that is true in every step"),
     Rule("DB803", "no-time-limit", "error", "the scenario has no time limit"),

@@ -10,9 +10,10 @@ world.py         objects out of scale, means of engines, how episodes begin     
 observations.py  what the policy sees; saturation.py values at the end of their range        DB6
 rewards.py       the size of the reward; shaping.py its direction; incentives.py what pays   DB7, DB810
 endings.py       when episodes end, goals that cannot be reached                             DB8
+exploits.py      rewards that pay for something other than success                           DB712 to DB715
 
 context.py       what a rule is given: the scenario, its analysis, places in its text, the report of its simulation
-simulation.py    plan, process and report of a simulation; simulation_process.py and rollouts.py run in that process
+simulation.py    plan, process and report of a simulation; simulation_process.py, rollouts.py and search.py run in that process
 fixes.py         applies fixes; settings.py which files are linted, and how
 """
 
@@ -35,7 +36,8 @@ from deepbots_cli.document.parse import parse
 from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.lint import endings, incentives, names, observations, rewards, robots, saturation, shaping, world
 from deepbots_cli.lint.context import RuleContext, SimulatedRule, Simulation, StaticRule
-from deepbots_cli.lint.simulation import Limits, measure
+from deepbots_cli.lint.exploits import EXPLOIT_RULES, Exploit, ExploitContext
+from deepbots_cli.lint.simulation import EXPLOIT_LIMITS, Limits, SimulationReport, measure
 
 _MODULES = (names, world, robots, observations, saturation, rewards, incentives, shaping, endings)
 STATIC_RULES: tuple[StaticRule, ...] = tuple(rule for module in _MODULES for rule in getattr(module, "STATIC_RULES", ()))
@@ -75,18 +77,25 @@ def _found(check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
         return
 
 
-def all_findings(checked: CheckedScenario, *, preview: bool = False, measured: Iterable[Finding] | None = None) -> list[Finding]:
+def all_findings(
+    checked: CheckedScenario,
+    *,
+    preview: bool = False,
+    measured: Iterable[Finding] | None = None,
+    exploits: Iterable[Finding] | None = None,
+) -> list[Finding]:
     """All findings of the compiler and of the rules, without suppressed ones and warnings about robot files of other packages.
 
     `inspect` of a robot file shows the latter. `measured` are the findings of a simulation, None if there was none; a static finding
-    replaces a measured one at the same place.
+    replaces a measured one at the same place. `exploits` are those of a search for exploits, None if there was none.
     """
     models = (checked.robots or {}).values()
     sources = (*checked.document.sources, *(robot.file.source for robot in models))
     found = [*checked.findings, *static_findings(checked, preview=preview)]
     known = {(finding.code, finding.span) for finding in found}
     found += [finding for finding in measured or () if (finding.code, finding.span) not in known]
-    kept, unused = suppress(found, sources, preview=preview, deep=measured is not None)
+    found += exploits or ()
+    kept, unused = suppress(found, sources, preview=preview, deep=measured is not None, exploits=exploits is not None)
     packaged = {id(robot.file.source) for robot in models if robot.spec.urdf.startswith("package://")}
     ours = [finding for finding in kept if finding.severity == "error" or id(finding.span.source) not in packaged]
     return _limited([*ours, *unused])
@@ -131,6 +140,35 @@ def simulate(checked: CheckedScenario, *, preview: bool = False, limits: Limits 
         found = [finding for finding in found if finding.severity == "error" or finding.code in _CAUSES]
     halt = report.halt
     return SimulationFindings(found, f"{simulation.when()}, after {halt.description}" if halt is not None and halt.kind == "slow" else None)
+
+
+@dataclass(frozen=True)
+class FoundExploits:
+    """The exploits of a reward, how many episodes were played, and how many succeeded; `incomplete` says why there are not all."""
+
+    exploits: list[Exploit]
+    episodes: int
+    successes: int = 0
+    incomplete: str | None = None
+
+
+def find_exploits(checked: CheckedScenario, *, limits: Limits = EXPLOIT_LIMITS) -> FoundExploits:
+    """Search for exploits of the reward of a scenario without errors, in a process of its own."""
+    assert checked.program is not None  # it has no errors
+    assert checked.namespace is not None
+    report = measure(checked.inputs, limits, permissions=checked.document.permissions, search=True)
+    if report.fault is not None:
+        fault = internal_error_finding("the search for exploits", checked.document.source, report.fault)
+        return FoundExploits([Exploit(fault, None)], 0)
+    context = ExploitContext(checked, checked.program, checked.namespace, report.driven)
+    found = [exploit for rule in EXPLOIT_RULES for exploit in rule(context)]
+    return FoundExploits(found, len(report.driven), sum(each.end == "success" for each in report.driven), _why_incomplete(report))
+
+
+def _why_incomplete(report: SimulationReport) -> str | None:
+    if report.stop is not None:
+        return str(report.stop.get("text"))
+    return f"stopped after {report.halt.description}" if report.halt is not None else None
 
 
 # Findings that follow from others
@@ -202,7 +240,7 @@ class RulePage:
     The page of a static rule is the docstring of its function. Pages of the compiler's findings and of simulated rules are in
     `pages.yaml`. `about` holds paragraphs with blank lines between; `example` and `instead` are both given or both empty.
 
-    A `deep` page is about a simulated rule.
+    A `deep` page is about a rule that simulates.
     """
 
     code: str

@@ -12,7 +12,7 @@ from deepbots_cli.analysis.returns import RewardTerms, Terms, total_range
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
-from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State, walk
+from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
 from deepbots_cli.lint.context import RuleContext, Simulation
 from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM, SimulatedEpisode
 from deepbots_cli.program.values import Expression
@@ -22,9 +22,9 @@ _PROGRESS_FUNCTIONS = frozenset({"delta", "previous", "running_min", "running_ma
 _RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "joint_velocity"})
 """Facts that are 0 while nothing moves."""
 _CLOCKS = frozenset({"time", "step"})
-_MIN_BREAK_EVEN = 0.5
+MIN_BREAK_EVEN = 0.5
 """A scenario whose success pays is reported if more of the episodes than this share would have to succeed."""
-_MIN_WORTH = 0.25
+MIN_WORTH = 0.25
 """Payments worth less than this share of the success, after discounting, are not reported."""
 
 
@@ -86,10 +86,10 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
     whole, price = f"{-_total_sum(ordinary, running, last) - at_limit:.3g}", _price(cost)
     if success is not None and prize > 0.0:
         share = break_even(living, cost, prize + max(0.0, _total_sum(ordinary, running, 0)))
-        if share >= _MIN_BREAK_EVEN:
+        if share >= MIN_BREAK_EVEN:
             headline = f"an episode that lasts until the time limit costs at least {whole}, but `{ending.name}` {price}"
             headline += f"; `{success.name}` pays {prize:.3g}"
-            yield Finding("DB705", dearest.span, headline, _LIVING_HELP, notes=_share_notes(reward, share, success), labels=also)
+            yield Finding("DB705", dearest.span, headline, LIVING_HELP, notes=_share_notes(reward, share, success), labels=also)
         return
     headline = f"continuing an episode costs at least {whole}, but `{ending.name}` {price}"
     help = "reward each good step, as in `alive: 1`, or make a failure cost more than all steps together"
@@ -99,7 +99,7 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
     yield Finding("DB705", dearest.span, headline, help, labels=also)
 
 
-_LIVING_HELP = "raise the cost of a failure above the cost of all steps together, or lower the cost of a step"
+LIVING_HELP = "raise the cost of a failure above the cost of all steps together, or lower the cost of a step"
 
 
 def _price(cost: float) -> str:
@@ -197,11 +197,11 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
     if living >= cost or not 0.0 < prize < INF:
         return
     share = break_even(living, cost, prize)
-    if share >= _MIN_BREAK_EVEN:
+    if share >= MIN_BREAK_EVEN:
         dearest = min(totals[cheapest], key=lambda entry: entry[1])[0]
         headline = f"a step costs {-pay:.3g}, `{ending.name}` {_price(cost)}, and `{success.name}` pays {prize:.3g}"
         notes = (f"measured in {rows[cheapest].steps} steps of {cheapest}", *_share_notes(reward, share, success))
-        yield Finding("DB705", dearest.span, headline, _LIVING_HELP, notes=notes, labels=(Label(ending.span, "the cheaper ending"),))
+        yield Finding("DB705", dearest.span, headline, LIVING_HELP, notes=notes, labels=(Label(ending.span, "the cheaper ending"),))
 
 
 # Staying short of the success
@@ -273,11 +273,11 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
         if not 0.0 < pay < INF:
             continue
         prize = total_range(reward.terms, _just_before(reward.ranges_at(success), threshold)).high
-        if pay * steps + fine > prize and pay * min(steps, _horizon(reward) * context.program.action_repeat) > _MIN_WORTH * prize:
+        if pay * steps + fine > prize and pay * min(steps, _horizon(reward) * context.program.action_repeat) > MIN_WORTH * prize:
             headline = f"an episode that avoids `{success.name}` can collect up to {pay:.3g} per step, {pay * steps:.4g} in all"
             headline += f", but `{success.name}` pays {prize:.3g} only once"
             best = max(ordinary, key=lambda term: waiting.of(term[1]).high)[0]
-            yield Finding("DB708", best.span, headline, _PROGRESS_HELP, labels=(Label(success.span, "ends these payments"),))
+            yield Finding("DB708", best.span, headline, PROGRESS_HELP, labels=(Label(success.span, "ends these payments"),))
             return
 
 
@@ -334,14 +334,14 @@ def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
             f"the return of {success.policy}, which succeeds, is {success.discounted_return:.3g}"
         )
         notes = (f"both are discounted returns of the episode with seed {best.seed}",)
-        yield Finding("DB708", _most_paid(simulation, best.policy).span, headline, _PROGRESS_HELP, notes=notes, labels=also)
+        yield Finding("DB708", _most_paid(simulation, best.policy).span, headline, PROGRESS_HELP, notes=notes, labels=also)
     elif len(successes) == 1:
         is_reached = any(episode.end == "success" for episode in simulation.report.episodes)
         idle = [] if is_reached else _idle_pays(simulation, successes[0])
         yield from idle or _place_pays(simulation, successes[0])
 
 
-_PROGRESS_HELP = "reward progress, as in `-10 * delta(distance) / m`, or make success pay more than an episode without success can collect"
+PROGRESS_HELP = "reward progress, as in `-10 * delta(distance) / m`, or make success pay more than an episode without success can collect"
 
 
 def _better_than_success(episodes: list[SimulatedEpisode]) -> tuple[SimulatedEpisode, SimulatedEpisode] | None:
@@ -364,28 +364,29 @@ def _place_pays(simulation: Simulation, success: Expression) -> list[Finding]:
     if not reward.is_complete or total_range(ordinary, _just_before(reward.ranges_while_running(), None)).high < INF:
         return []
     highest = {term.name: max(row.high for row in rows.values()) for term, rows in simulation.terms() if rows}
-    staying = [term for term, node in ordinary if term.name in highest and not _is_progress(analysis, node)]
+    staying = [term for term, node in ordinary if term.name in highest and not (is_progress(analysis, node) or _is_motion(analysis, node))]
     best = max(staying, key=lambda term: highest[term.name], default=None)
     prize = total_range(final, reward.ranges_at(success)).high
     if best is None:
         return []
     pay = highest[best.name] + sum(min(0.0, highest[term.name]) for term in staying if term is not best)
     steps = _steps_from(analysis, success)
-    if pay <= 0.0 or pay * steps <= prize or pay * min(steps, _horizon(reward)) <= _MIN_WORTH * prize:
+    if pay <= 0.0 or pay * steps <= prize or pay * min(steps, _horizon(reward)) <= MIN_WORTH * prize:
         return []
     headline = f"`{best.name}` pays up to {pay:.3g} in a step, {pay * steps:.4g} over a whole episode"
     headline += f", but `{success.name}` pays {prize:.3g} only once"
     also = (Label(success.span, "ends these payments"),)
-    return [Finding("DB708", best.span, headline, _PROGRESS_HELP, notes=(simulation.summary,), labels=also)]
+    return [Finding("DB708", best.span, headline, PROGRESS_HELP, notes=(simulation.summary,), labels=also)]
 
 
-def _is_progress(analysis: Analysis, node: Scalar) -> bool:
-    """Whether a value depends on motion, or on what was before."""
-    return any(
-        (isinstance(part, State) and part.function in _PROGRESS_FUNCTIONS)
-        or (isinstance(part, EngineRead) and part.function in _RATE_FUNCTIONS)
-        for part in analysis.walk_definitions(node)
-    )
+def is_progress(analysis: Analysis, node: Scalar) -> bool:
+    """Whether a value depends on what was before."""
+    return any(isinstance(part, State) and part.function in _PROGRESS_FUNCTIONS for part in analysis.walk_definitions(node))
+
+
+def _is_motion(analysis: Analysis, node: Scalar) -> bool:
+    """Whether a value depends on a speed."""
+    return any(isinstance(part, EngineRead) and part.function in _RATE_FUNCTIONS for part in analysis.walk_definitions(node))
 
 
 def _idle_pays(simulation: Simulation, success: Expression) -> list[Finding]:
@@ -396,8 +397,7 @@ def _idle_pays(simulation: Simulation, success: Expression) -> list[Finding]:
         return []
     if any(episode.end not in ("limit", "left") for episode in simulation.report.episodes if episode.policy == IDLE):
         return []
-    trees = [node for _, tree in ordinary for node in walk(simulation.analysis.resolve_aliases(tree))]
-    if any(isinstance(node, State) and node.function in _PROGRESS_FUNCTIONS for node in trees):
+    if any(is_progress(simulation.analysis, node) for _, node in ordinary):
         return []
     pay = sum(term.total for term in row.terms) / row.steps
     prize = total_range(reward.terms, reward.ranges_at(success)).high
@@ -406,7 +406,7 @@ def _idle_pays(simulation: Simulation, success: Expression) -> list[Finding]:
         headline = f"doing nothing pays {pay:.3g} in every step, but `{success.name}` pays {prize:.3g} only once"
         notes = (f"measured in {row.steps} steps; the horizon is about {steps:.0f} steps, given the discount factor and the time limit",)
         also = (Label(success.span, "ends these payments"),)
-        return [Finding("DB708", _most_paid(simulation, IDLE).span, headline, _PROGRESS_HELP, notes=notes, labels=also)]
+        return [Finding("DB708", _most_paid(simulation, IDLE).span, headline, PROGRESS_HELP, notes=notes, labels=also)]
     return []
 
 

@@ -68,7 +68,7 @@ def simulation_plan(program: Program) -> Plan:
     last = program.truncation.max_episode_steps(program.period)
     drawn = [Rollout(HELD_RANDOM if seed % 2 else RANDOM, seed, min(last, _RANDOM_STEPS)) for seed in range(_RANDOM_EPISODES)]
     others = [Rollout(by, seed, min(last, _OTHER_STEPS), script) for by, script in _others(program) for seed in range(_OTHER_EPISODES)]
-    share = min(1.0, _MAX_WORK / (_work(program) * (_ENOUGH_STEPS + sum(rollout.steps for rollout in others))))
+    share = min(1.0, _MAX_WORK / (work_per_step(program) * (_ENOUGH_STEPS + sum(rollout.steps for rollout in others))))
     rollouts = tuple(Rollout(each.policy, each.seed, max(_MIN_STEPS, int(each.steps * share)), each.script) for each in (*drawn, *others))
     settling = program.reset.settle / program.world.timestep * program.world.substeps
     resets = max(2, min(_RESETS, int(_MAX_SETTLING / max(settling, 1.0))))
@@ -77,7 +77,7 @@ def simulation_plan(program: Program) -> Plan:
 
 def variant_plan(program: Program) -> tuple[Rollout, ...]:
     """The episodes in a case or a stage, where something has been constant so far."""
-    steps = max(_MIN_STEPS, min(_VARIANT_STEPS, int(_MAX_WORK / 20 / _work(program))))
+    steps = max(_MIN_STEPS, min(_VARIANT_STEPS, int(_MAX_WORK / 20 / work_per_step(program))))
     return (Rollout(HELD_RANDOM, 1, steps), *(Rollout(by, 0, steps, script) for by, script in _others(program) if script))
 
 
@@ -88,7 +88,7 @@ def _others(program: Program) -> Iterator[tuple[str, str | None]]:
         yield f"the script `{script.name}`", script.name
 
 
-def _work(program: Program) -> float:
+def work_per_step(program: Program) -> float:
     """The cost of a step of the agent, in physics steps of one robot (about 15 us): ten of them are overhead."""
     copies = program.agent.copies.count if program.agent.copies else 1
     pixels = sum(entry.shape[0] * entry.shape[1] for entry in program.agent.images)
@@ -140,6 +140,38 @@ class SimulatedEpisode:
     steps: int
     discounted_return: float
     end: End
+
+
+DriverKind = Literal["idle", "constant", "alternating", "random", "script", "detour", "sequence"]
+"""Who drives, the simplest first; the search finds interrupted scripts (`detour`) and sequences of actions."""
+
+
+@dataclass(frozen=True)
+class DrivenEpisode:
+    """An episode of the search for exploits (`lint --exploits`).
+
+    `driver` is what `--driver` takes, `number` that of the episode from seed 0. `terms` maps each term of the reward to its sums over the
+    four quarters of the episode. `path` (m) is the way of the robot's base, `distance` (m) how far from its start it ends, and `turns` how
+    often it has turned; `stopped` is the share of the steps in which all of its joints with limits are at a limit.
+    """
+
+    driver: str
+    kind: DriverKind
+    number: int
+    steps: int
+    total_return: float
+    discounted_return: float
+    end: End
+    ended_by: str | None
+    terms: Mapping[str, Sequence[float]]
+    path: float = 0.0
+    distance: float = 0.0
+    turns: float = 0.0
+    stopped: float = 0.0
+
+    def sum_of(self, term: str) -> float:
+        """What a term gave in the whole episode."""
+        return sum(self.terms[term])
 
 
 @dataclass(frozen=True)
@@ -220,6 +252,7 @@ class SimulationReport:
     endings_at_reset: dict[str, list[int]] = field(default_factory=dict)
     misses: list[UnreachedPose] = field(default_factory=list)
     episodes: list[SimulatedEpisode] = field(default_factory=list)
+    driven: list[DrivenEpisode] = field(default_factory=list)
     measured: dict[str, PolicyStatistics] = field(default_factory=dict)
     constant_numbers: Sequence[int] = ()
     zero_terms: Sequence[int] = ()
@@ -245,6 +278,8 @@ class SimulationReport:
                 self.misses.append(UnreachedPose(**row))
             case {"episode": Mapping() as row}:
                 self.episodes.append(SimulatedEpisode(**row))
+            case {"driven": Mapping() as row}:
+                self.driven.append(DrivenEpisode(**row))
             case {"measured": Mapping() as policies}:
                 for by, (steps, rows, numbers, terms) in policies.items():
                     numbers, terms = [NumberStatistics(*row) for row in numbers], [TermStatistics(*row) for row in terms]
@@ -288,18 +323,24 @@ class Limits(NamedTuple):
     """s by the clock in all, on a machine that may be busy."""
 
 
-def require_simulator() -> None:
-    """Check for the simulator without importing it.
+EXPLOIT_LIMITS = Limits(cpu=60)
+"""Of a search for exploits, which plans for about 20 s."""
+
+
+def require_simulator(option: str = "lint --deep") -> None:
+    """Check for the simulator without importing it; `option` needs it.
 
     Raises:
         MissingExtraError: A package that simulating needs is not installed.
     """
     if any(find_spec(name) is None for name in _REQUIRED) or not any(kind.is_installed for kind in ENGINES.own.values()):
-        raise MissingExtraError("sim", "lint --deep")
+        raise MissingExtraError("sim", option)
 
 
-def measure(inputs: Inputs, limits: Limits, *, permissions: Permissions = Permissions()) -> SimulationReport:
+def measure(inputs: Inputs, limits: Limits, *, permissions: Permissions = Permissions(), search: bool = False) -> SimulationReport:
     """Simulate a scenario in a process of its own, which compiles it from copies of its files.
+
+    With `search`, search for exploits of the reward instead of carrying out the plan of `lint --deep`.
 
     Raises:
         UsageError: The copies cannot be written.
@@ -312,7 +353,7 @@ def measure(inputs: Inputs, limits: Limits, *, permissions: Permissions = Permis
     environment = python_environment({"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"})
     with tempfile.TemporaryDirectory(prefix="deepbots-") as folder:
         inputs.write(Path(folder))
-        request = json.dumps({"folder": folder, "allow_code": permissions.code}).encode()
+        request = json.dumps({"folder": folder, "allow_code": permissions.code, "search": search}).encode()
         pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
         with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=nowhere, env=environment) as process:
             try:

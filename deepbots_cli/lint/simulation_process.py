@@ -1,6 +1,6 @@
-"""The entry point of the process that simulates a scenario for `lint --deep`.
+"""The entry point of the process that simulates a scenario for `lint --deep` and `lint --exploits`.
 
-    echo '{"folder": ..., "allow_code": false}' | python -m deepbots_cli.lint.simulation_process CPU STEP MEMORY WALL
+    echo '{"folder": ..., "allow_code": false, "search": false}' | python -m deepbots_cli.lint.simulation_process CPU STEP MEMORY WALL
 
 It writes lines to stdout: `~17` before step 17, and JSON objects, which `simulation.SimulationReport` reads. It limits itself before it
 imports a simulator or reads the scenario. On Windows, which has no such limits, the clock of the parent remains.
@@ -53,9 +53,10 @@ def _simulate(request: dict[str, Any], out: FileIO, seconds: float) -> None:
 
     write(b"")
     from deepbots_cli.lint.rollouts import Simulator, compiled
+    from deepbots_cli.lint.search import ExploitSearch
 
     permissions = Permissions(code=request["allow_code"])
-    simulator = Simulator(
+    simulator = (ExploitSearch if request["search"] else Simulator)(
         compiled(Path(request["folder"])),
         write=lambda entry: write(json.dumps(entry).encode() + b"\n"),
         begin_step=lambda number: write(b"~%d\n" % number),

@@ -13,7 +13,17 @@ from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RULES, Findings
 from deepbots_cli.diagnostics.findings import Source, suppress
 from deepbots_cli.document import loads
-from deepbots_cli.lint import SIMULATED_RULES, STATIC_RULES, RulePage, code_of, every_page, simulate, static_findings
+from deepbots_cli.lint import (
+    EXPLOIT_RULES,
+    SIMULATED_RULES,
+    STATIC_RULES,
+    RulePage,
+    code_of,
+    every_page,
+    find_exploits,
+    simulate,
+    static_findings,
+)
 from deepbots_cli.lint.context import StaticRule
 from deepbots_cli.robots.reader import read
 from tests.few import few
@@ -50,7 +60,8 @@ def codes(text: str, page: RulePage, folder: Path) -> set[str]:
     found = [*checked.findings, *static_findings(checked, preview=True)]
     if page.deep:
         assert page.code not in {finding.code for finding in found}, "the text alone tells it"
-        found += simulate(checked, preview=True).findings
+        searched = RULES[page.code].deep == "exploits"
+        found += [each.finding for each in find_exploits(checked).exploits] if searched else simulate(checked, preview=True).findings
     kept, unused = suppress(found, checked.document.sources, preview=True, deep=page.deep)
     return {finding.code for finding in (*kept, *unused)}
 
@@ -82,7 +93,7 @@ def test_every_finding_has_a_page_and_all_but_four_an_example() -> None:
 
     What text and a simulation tell has a second page.
     """
-    assert [page.code for page in every_page() if not page.deep or RULES[page.code].deep == "only"] == list(RULES)
+    assert [page.code for page in every_page() if not page.deep or RULES[page.code].deep in ("only", "exploits")] == list(RULES)
     assert [page.code for page in every_page() if not page.example] == ["DB316", "DB410", "DB902", "DB903"]
 
 
@@ -94,13 +105,19 @@ def test_a_rule_is_in_the_catalog_under_the_name_of_its_function() -> None:
 
 def test_what_a_simulation_finds_has_a_page_of_its_own() -> None:
     deep = {code for code, entry in RULES.items() if entry.deep != "no"}
-    assert deep == set(map(code_of, SIMULATED_RULES)) == {page.code for page in every_page() if page.deep}
+    assert deep == set(map(code_of, (*SIMULATED_RULES, *EXPLOIT_RULES))) == {page.code for page in every_page() if page.deep}
 
 
 def test_a_comment_about_what_a_simulation_finds_is_of_use_where_there_was_none() -> None:
     source = Source("a.yaml", "a: on # deepbots: ignore[DB608]\n")
     assert suppress([], [source], preview=True) == ([], [])
     assert [finding.code for finding in suppress([], [source], preview=True, deep=True)[1]] == ["DB901"]
+
+
+def test_a_comment_about_an_exploit_is_of_use_where_none_was_searched() -> None:
+    source = Source("a.yaml", "a: 1 # deepbots: ignore[DB713]\n")
+    assert suppress([], [source], preview=True, deep=True) == ([], [])
+    assert [finding.code for finding in suppress([], [source], exploits=True)[1]] == ["DB901"]
 
 
 def test_a_retired_code_is_never_given_again() -> None:

@@ -118,6 +118,8 @@ def _suppression(rule: Rule) -> Iterator[str]:
         yield "The rule is in preview: it can report false findings, and runs only with --preview."
     if rule.deep == "only":
         yield "The rule needs a simulation, and runs only with --deep."
+    if rule.deep == "exploits":
+        yield "The rule needs episodes of many drivers, and runs only with --exploits."
     if rule.severity == "error":
         if rule.deep != "only":
             yield "A scenario with this error cannot be compiled."

@@ -28,7 +28,7 @@ from deepbots_cli.diagnostics.render import escape_log_commands, github, junit, 
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.files import file_stamps
-from deepbots_cli.lint import all_findings, simulate
+from deepbots_cli.lint import all_findings, find_exploits, simulate
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lint.settings import Settings, scenarios_in, settings
 from deepbots_cli.processes import safe_path
@@ -89,6 +89,14 @@ def lint(
     watch: Annotated[bool, option("--watch", "Lint again when a file is saved, until Ctrl-C.")] = False,
     statistics: Annotated[bool, option("--statistics", "Show the number of findings of each code.", OUTPUT)] = False,
     deep: Annotated[bool, option("--deep", "Also simulate, for a short time, each scenario that has no errors.")] = False,
+    exploits: Annotated[
+        bool,
+        option(
+            "--exploits",
+            "Also search for exploits of the reward: episodes without success that pay more than a success. Recordings of them are kept in"
+            " ./exploits.",
+        ),
+    ] = False,
     fix: Annotated[bool, option("--fix", "Apply the safe fixes to the files.")] = False,
     unsafe_fixes: Annotated[
         bool, option("--unsafe-fixes", "Also apply the unsafe fixes, which are guesses; with --fix or --diff.", ADVANCED)
@@ -101,7 +109,8 @@ def lint(
     """Check scenarios and report every problem.
 
     Each finding shows its place and a way to repair it. Linting runs nothing and needs no simulator. With --deep, lint also
-    simulates each scenario that has no errors, in a separate process, and reports problems that it measures.
+    simulates each scenario that has no errors, in a separate process, and reports problems that it measures. With --exploits, it plays
+    fixed drivers, scripts and sequences of actions, for at most 60 s of CPU, and compares what they earn with what a success earns.
     In a folder, lint reads every .yaml or .yml file with a `deepbots:` key, also in subfolders. A project sets its defaults under [lint] in
     deepbots.toml, or under [tool.deepbots.lint] in pyproject.toml.
 
@@ -110,6 +119,7 @@ def lint(
       deepbots lint scenarios/ --fail-on warning
       deepbots lint cartpole.yaml --set world.timestep=50ms --format concise
       deepbots lint cartpole.yaml --deep
+      deepbots lint find_ball --exploits
       deepbots lint cartpole.yaml --watch
       deepbots lint scenarios/ --statistics
       deepbots lint cartpole.yaml --diff --unsafe-fixes
@@ -127,13 +137,18 @@ def lint(
     project = settings()
     previewed = bool(project.preview) if preview is None else preview
     selection = Selection(
-        _words("--select", select) or project.select, _words("--ignore", ignore) or project.ignore, preview=previewed, deep=deep
+        _words("--select", select) or project.select,
+        _words("--ignore", ignore) or project.ignore,
+        preview=previewed,
+        deep=deep,
+        exploits=exploits,
     )
-    if deep:
-        _check_simulator(fix or diff or unsafe_fixes)
-    look = LintOptions(tuple(overrides or ()), permissions, previewed, deep, stdin_name)
+    for option_name in ["--deep"] * deep + ["--exploits"] * exploits:
+        _check_simulator(option_name, fix or diff or unsafe_fixes)
+    look = LintOptions(tuple(overrides or ()), permissions, previewed, deep, exploits, stdin_name)
     names = scenario_names(scenarios or ["."], project)
     _check_together(bool(stdin_name) and STDIN not in names, "--stdin-filename needs - (standard input) as a scenario")
+    _check_together(exploits and STDIN in names, "--exploits needs a file: it records episodes of the scenario")
     _check_together(watch and (fix or diff or STDIN in names), "--watch reads files and changes none; leave out --fix, --diff and -")
     if watch:
         _watch(partial(lint, **given), partial(scenario_names, scenarios or ["."], project), look)
@@ -158,7 +173,7 @@ def lint(
     elif not diff:
         print(report(shown, format_, [look.called(name) for name in names], failing), end="")
         if format_ is Format.full:
-            _sum_up(shown, names, selection, fixable=not (fix or overrides), deep=deep)
+            _sum_up(shown, names, selection, fixable=not (fix or overrides), look=look)
     hidden = [finding for finding in findings if finding.severity == "error" and not selection.selects(finding)]
     _note_hidden(hidden)
     if any(finding.is_internal_error for finding in shown):
@@ -234,12 +249,14 @@ def _words(option: str, given: Codes) -> RuleSelectors | None:
     return RuleSelectors(tuple(word.strip() for word in text.split(",")), SourceText(option, text))
 
 
-def _check_simulator(fixing: bool) -> None:
+def _check_simulator(option_name: str, fixing: bool) -> None:
     from deepbots_cli.lint.simulation import require_simulator
 
     if fixing:
-        raise UsageError("--deep cannot be combined with --fix or --diff: its findings have no automatic fixes")
-    require_simulator()
+        raise UsageError(f"{option_name} cannot be combined with --fix or --diff: its findings have no automatic fixes")
+    require_simulator(f"lint {option_name}")
+    if option_name == "--exploits" and find_spec("mcap") is None:
+        raise MissingExtraError("view", "a recording")
 
 
 def _check_fixing(fix: bool, diff: bool, overrides: list[str] | None, names: Sequence[str]) -> None:
@@ -285,12 +302,12 @@ def _hint(findings: Sequence[Finding]) -> str | None:
     return f"{safe} can be fixed by --fix" + (f", {unsafe} more by --unsafe-fixes" if unsafe else "")
 
 
-def _sum_up(findings: list[Finding], names: list[str], selection: Selection, *, fixable: bool, deep: bool) -> None:
+def _sum_up(findings: list[Finding], names: list[str], selection: Selection, *, fixable: bool, look: LintOptions) -> None:
     """Print the number of findings, and of those with a fix."""
     if not findings:
         called = names[0] if len(names) == 1 else f"{len(names)} scenarios"
         asked = "" if selection.selects_all else " among the selected rules"
-        terminal.print_result(f"{called}: no findings{asked}{', including the simulation' if deep else ''}")
+        terminal.print_result(f"{called}: no findings{asked}{look.included}")
         return
     terminal.print_result(summary(findings))
     if fixable and any(finding.fix for finding in findings):
@@ -320,20 +337,27 @@ _NAMELESS = "<stdin>"
 
 @dataclass(frozen=True)
 class LintOptions:
-    """How each scenario is read, and whether it is simulated (`deep`); `stdin_name` is the file name for standard input."""
+    """How each scenario is read, and whether it is simulated (`deep`) and searched; `stdin_name` is the file name for standard input."""
 
     overrides: tuple[str, ...] = ()
     permissions: Permissions = Permissions()
     preview: bool = False
     deep: bool = False
+    exploits: bool = False
     stdin_name: str | None = None
+
+    @property
+    def included(self) -> str:
+        """What was done besides linting, for a sentence."""
+        done = ["the simulation"] * self.deep + ["the search for exploits"] * self.exploits
+        return f", including {' and '.join(done)}" if done else ""
 
     def findings(self, name: str) -> list[Finding]:
         """The findings of one scenario."""
         if name == STDIN:
             return self._of_stdin()
         checked = api.load(name, overrides=self.overrides, permissions=self.permissions)
-        return self._reviewed(checked, self.called(name))
+        return self._reviewed(checked, self.called(name), name)
 
     def files_read(self, name: str) -> set[Path]:
         """The scenario, and the files that it reads."""
@@ -349,24 +373,42 @@ class LintOptions:
         data = sys.stdin.buffer.read(files.MAX_BYTES + 1) if sys.stdin else b""
         display = self.stdin_name or _NAMELESS
         document = load(path, self.overrides, display=display, permissions=self.permissions, drafts={path: data})
-        return self._reviewed(check(document), display)
+        return self._reviewed(check(document), display, STDIN)
 
-    def _reviewed(self, checked: CheckedScenario, called: str) -> list[Finding]:
+    def _reviewed(self, checked: CheckedScenario, called: str, name: str) -> list[Finding]:
         """The findings from the text and then from a simulation; a scenario with errors cannot be simulated."""
         try:
             found = all_findings(checked, preview=self.preview)
-            if not self.deep:
+            if not (self.deep or self.exploits):
                 return found
             if any(finding.severity == "error" and not finding.is_internal_error for finding in found):
                 terminal.note(f"{called}: not simulated because it has errors")
                 return found
-            with terminal.transient_line(f"{called}: simulating"):
-                simulated = simulate(checked, preview=self.preview)
-            if simulated.incomplete:
-                terminal.note(f"{called}: the simulation was stopped {simulated.incomplete}; its further findings are missing")
-            return all_findings(checked, preview=self.preview, measured=simulated.findings)
+            measured: list[Finding] | None = None
+            if self.deep:
+                with terminal.transient_line(f"{called}: simulating"):
+                    simulated = simulate(checked, preview=self.preview)
+                if simulated.incomplete:
+                    terminal.note(f"{called}: the simulation was stopped {simulated.incomplete}; its further findings are missing")
+                measured = simulated.findings
+            exploits = self._exploits(checked, called, name) if self.exploits else None
+            return all_findings(checked, preview=self.preview, measured=measured, exploits=exploits)
         finally:
             checked.release_names()
+
+    def _exploits(self, checked: CheckedScenario, called: str, name: str) -> list[Finding]:
+        """The findings of a search for exploits, whose episodes are recorded."""
+        from deepbots_cli.cli import exploits
+
+        exploits.folder_of(checked)
+        with terminal.transient_line(f"{called}: searching for exploits"):
+            found = find_exploits(checked)
+        if found.incomplete:
+            terminal.note(f"{called}: the search for exploits is incomplete: {found.incomplete}")
+        if checked.program is not None and checked.program.defines_success and not found.successes:
+            terminal.note(f"{called}: no episode succeeded, so none was compared with a success; a script that succeeds serves the search")
+        with terminal.transient_line(f"{called}: recording exploits"):
+            return exploits.keep(found, checked, name, self.overrides, self.permissions)
 
     def called(self, name: str) -> str:
         """The name of the scenario `name` in findings."""

@@ -47,7 +47,7 @@ jobs:
       - run: deepbots lint . --format github
 """
 _PROJECT = {
-    ".gitignore": "runs/\n",
+    ".gitignore": "exploits/\nruns/\n",
     ".github/workflows/lint.yml": _WORKFLOW,
     ".vscode/extensions.json": '{"recommendations": ["redhat.vscode-yaml"]}\n',
     ".vscode/settings.json": '{\n  "yaml.schemas": {"deepbots.schema.json": ["*.yaml"]},\n  "yaml.disableDefaultProperties": true\n}\n',

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.cli import processes, records, terminal
+from deepbots_cli.cli import exploits, processes, records, terminal
 from deepbots_cli.cli.command import (
     ADVANCED,
     MAX_SEED,
@@ -208,6 +208,7 @@ def command(
         if progress:
             _announce(compiled.program, f"seeds {seeds}" if seeds else f"seed {seed or 0}", timesteps, full=full)
             if not as_json:
+                _name_missing_search(compiled.program, scenario)
                 _name_faster_engine(compiled.program, timesteps, permissions=permissions)
         if listed is not None:
             with processes.spread(workers, address, len(listed), quiet=quiet) as spread:
@@ -288,6 +289,12 @@ def _announce(program: Program, seeds: str, timesteps: int | None, *, full: bool
         until = f", or until it is solved ({solved.description})" if solved and not full else ""
         terminal.note(f"training {program.name} with {training.algorithm} from {seeds}")
         terminal.note(f"at most {timesteps or training.total_timesteps:,} timesteps{until}; Ctrl-C ends it and keeps the policy")
+
+
+def _name_missing_search(program: Program, scenario: str) -> None:
+    """Say that no search for exploits of the reward was made from this folder."""
+    if not exploits.was_searched(program):
+        terminal.note(f"the reward was never searched for exploits: deepbots lint {quote(scenario)} --exploits")
 
 
 _MEASURED_FROM_STEPS = 20_000

@@ -1,0 +1,357 @@
+"""The episodes of `lint --exploits`: fixed drivers, scripts, and a search over sequences of actions. Runs in a process of its own.
+
+Every driver is a text that `--driver` takes, so that each episode can be repeated by hand. The search is the cross-entropy method: it draws
+sequences around a mean, and moves the mean to the best of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import asdict
+from itertools import combinations, islice, product, repeat
+from math import ceil, dist, pi
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepbots_cli import api
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.lint.exploits import is_better_than_success
+from deepbots_cli.lint.simulation import DrivenEpisode, DriverKind, End, work_per_step
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import ActionPart, Choices, idle_action
+from deepbots_cli.rollout import Driver, Start, Step, steps
+from deepbots_cli.rollout.drivers import RANDOM, named_driver
+from deepbots_cli.runtime import Supervisor
+
+_STARTS = 3
+"""Episodes with different starts, from number 0 on."""
+_MAX_WORK = 400_000.0
+"""As for `work_per_step`; 10 to 30 s of CPU."""
+_MAX_CONSTANTS, _MAX_PAIRS = 27, 12
+_HOLDS = (2, 10)
+"""Steps for which alternating actions are held."""
+_CONFIRMED = 3
+"""The best drivers of the first start that are tried on the others, of each kind of end."""
+_POPULATION, _ELITES, _GENERATIONS = 12, 3, 12
+_MIN_DEVIATION = 0.1
+_AT_LIMIT = 0.02
+"""Of the range of a joint: nearer to a limit than this, it is at the limit."""
+
+
+class ExploitSearch:
+    """Plays the episodes of a scenario. `write` takes each, `begin_step` the number of the next step."""
+
+    def __init__(
+        self, program: Program, write: Callable[[dict[str, Any]], None], begin_step: Callable[[int], None], permissions: Permissions
+    ) -> None:
+        self._program, self._write, self._begin_step, self._permissions = program, write, begin_step, permissions
+        self._last = program.truncation.max_episode_steps(program.period)
+        self._left = int(_MAX_WORK / work_per_step(program))
+        self._longest = max(10, min(self._last, self._left // 8))
+        self._played: dict[tuple[str, int], DrivenEpisode | None] = {}
+        self._slots = action_slots(program.agent.action)
+
+    def run(self) -> None:
+        """Play fixed drivers and scripts, and search further if these earn no more than a success."""
+        self._write({"at": ["build", 0]})
+        try:
+            self._environment = api.build(self._program, permissions=self._permissions)
+        except DeepbotsError as error:
+            self._write({"stop": {"kind": "build", "text": str(error)}})
+            return
+        with closing(self._environment):
+            fixed = list(fixed_drivers(self._program))
+            for number in range(_STARTS):
+                for driver, kind in fixed:
+                    if number == 0 or kind in ("idle", "script"):
+                        self._play(driver, kind, number)
+            self._confirm()
+            if self._program.defines_success and not is_better_than_success(self._episodes) and self._search(0):
+                self._confirm()
+                if not is_better_than_success(self._episodes):
+                    self._search(1)
+
+    @property
+    def _episodes(self) -> list[DrivenEpisode]:
+        return [episode for episode in self._played.values() if episode is not None]
+
+    def _confirm(self) -> None:
+        """Play the best drivers of the first start from the others too."""
+        first = [episode for episode in self._episodes if episode.number == 0]
+        for end in ("failure", "limit"):
+            ended = [episode for episode in first if episode.end == end]
+            best = sorted(ended, key=lambda episode: -episode.total_return)[:_CONFIRMED]
+            best += sorted(ended, key=lambda episode: -episode.discounted_return)[:1]
+            for episode, number in product(best, range(1, _STARTS)):
+                self._play(episode.driver, episode.kind, number)
+
+    # Episodes
+
+    def _play(self, driver: str, kind: DriverKind, number: int) -> DrivenEpisode | None:
+        """One episode; None where the steps of the plan are used up, or where it cannot go on."""
+        key = driver, number
+        if key not in self._played and self._left > 0:
+            self._write({"at": [driver[:_MAX_SHOWN], number]})
+            try:
+                self._played[key] = self._episode(driver, kind, number)
+            except DeepbotsError:  # `lint --deep` reports it
+                self._played[key] = None
+        return self._played.get(key)
+
+    def _episode(self, driver: str, kind: DriverKind, number: int) -> DrivenEpisode:
+        environment, acting = self._environment, named_driver(self._environment, driver)
+        watch: MotionWatch | None = None
+        rows: list[list[float]] = []
+        count = 0
+
+        def act(observation: Any) -> Any:
+            nonlocal count
+            count += 1
+            self._begin_step(count)
+            return acting.act(observation)
+
+        step: Step | None = None
+        for step in islice(steps(environment, Driver(act), Start.of_evaluation(0, number)), self._longest + 1):
+            if watch is None:
+                watch = MotionWatch(environment)
+            else:
+                watch.add()
+                rows.append([*step.info["reward_terms"].values(), step.reward])
+        assert step is not None
+        assert watch is not None
+        self._left -= len(rows)
+        values: NDArray[np.float64] = np.array(rows)
+        quarters = [part.sum(axis=0) for part in np.array_split(values[:, :-1], 4)]
+        rewards = values[:, -1]
+        end: End = "limit" if step.truncated else "left"
+        if step.info["is_success"]:
+            end = "success"
+        elif step.terminated:
+            end = "failure"
+        episode = DrivenEpisode(
+            driver=driver,
+            kind=kind,
+            number=number,
+            steps=len(rows),
+            total_return=float(rewards.sum()),
+            discounted_return=float(rewards @ self._program.agent.discount ** np.arange(len(rows))),
+            end=end,
+            ended_by=step.info["ended_by"],
+            terms={name: [float(part[at]) for part in quarters] for at, name in enumerate(step.info["reward_terms"])},
+            **watch.summary(),
+        )
+        self._write({"driven": asdict(episode)})
+        return episode
+
+    # The search
+
+    def _search(self, number: int) -> bool:
+        """Search from one start for a driver that earns most without success; first for a success, where none is known.
+
+        Returns:
+            Whether a driver earns more than each success from this start.
+        """
+        reached = [each for each in self._episodes if each.number == number and each.end == "success"]
+        scripts = [each for each in reached if each.kind == "script" and each.steps > 1]
+        arms: list[Family] = []
+        if scripts:
+            best = max(scripts, key=lambda each: each.total_return)
+            arms += [Detour(self._slots, best.driver, best.steps, stay) for stay in (self._longest, None)]
+        arms += [Cycle(self._slots, holds) for holds in sequence_shapes(self._longest)]
+        budget = self._left * (0.6 if number == 0 else 1.0) / len(arms)
+        for seed, family in enumerate(arms):
+            if not reached and self._program.defines_success:
+                self._cross_entropy(number, family, budget / 2, seed, with_success=True)
+            self._cross_entropy(number, family, budget / (1 if reached else 2), seed, with_success=False)
+            found = [each for each in self._episodes if each.number == number]
+            if is_better_than_success(found):
+                return True
+        return False
+
+    def _cross_entropy(self, number: int, family: Family, budget: float, seed: int, *, with_success: bool) -> None:
+        end, rng = self._left - budget, np.random.default_rng([number, seed, with_success])
+        drawn = Distribution(family.slots)
+        for _ in range(_GENERATIONS):
+            scored: list[tuple[float, NDArray[np.float64]]] = []
+            for _ in range(_POPULATION):
+                numbers = drawn.draw(rng)
+                episode = self._play(family.driver(numbers.tolist()), family.kind, number)
+                if self._left <= end:
+                    return
+                if episode is not None and (with_success or episode.end != "success"):
+                    scored.append((episode.total_return, numbers))
+            drawn.move_to([numbers for _, numbers in sorted(scored, key=lambda entry: -entry[0])[:_ELITES]])
+
+
+_MAX_SHOWN = 80
+
+
+# Fixed drivers
+
+
+class Slot(NamedTuple):
+    """A number of the action: the names of the options of a choice, or none for a value from -1 to 1; `idle` is what does nothing."""
+
+    options: tuple[str, ...]
+    idle: float
+
+    def text(self, value: float) -> str:
+        return self.options[int(value)] if self.options else f"{value:.6g}"
+
+    @property
+    def extremes(self) -> list[float]:
+        """The options, or both ends and the middle; the idle one first."""
+        found = list(range(len(self.options))) if self.options else [-1.0, 1.0]
+        return [self.idle, *(value for value in found if value != self.idle)]
+
+
+def action_slots(action: Sequence[ActionPart]) -> list[Slot]:
+    """The numbers of an action, in their order in the text of a driver."""
+    idle = idle_action(action)
+    choices, values = (iter(idle[0]), iter(idle[1])) if idle is not None else (repeat(0), repeat(0.0))
+    found = []
+    for part in action:
+        if isinstance(part, Choices):
+            found.append(Slot(tuple(option.name for option in part.options), float(next(choices))))
+        else:
+            found += [Slot((), float(next(values))) for _ in part.names]
+    return found
+
+
+def fixed_drivers(program: Program) -> Iterator[tuple[str, DriverKind]]:
+    """Scripts, doing nothing, constant, alternating and random actions."""
+    for script in program.agent.scripts:
+        yield script.name, "script"
+    slots = action_slots(program.agent.action)
+    constants = _constants(slots)
+    has_idle = idle_action(program.agent.action) is not None
+    for number, values in enumerate(constants):
+        yield driver_text(slots, [values]), "idle" if has_idle and not number else "constant"
+    opposites = [(one, other) for one, other in combinations(constants, 2) if _are_opposite(slots, one, other)]
+    for pair, hold in product(opposites[:_MAX_PAIRS], _HOLDS):
+        yield driver_text(slots, pair, [hold, hold]), "alternating"
+    yield RANDOM, "random"
+
+
+def _constants(slots: Sequence[Slot]) -> list[tuple[float, ...]]:
+    """Combinations of the extremes; where these are many, each extreme alone, and all at the same end. The first does nothing."""
+    idle = tuple(slot.idle for slot in slots)
+    if np.prod([len(slot.extremes) for slot in slots]) <= _MAX_CONSTANTS:
+        return list(product(*(slot.extremes for slot in slots)))
+    ends = [tuple(value if not slot.options else slot.idle for slot in slots) for value in (-1.0, 1.0)]
+    alone = [(*idle[:at], value, *idle[at + 1 :]) for at, slot in enumerate(slots) for value in slot.extremes[1:]]
+    return list(dict.fromkeys([idle, *ends, *alone]))[:_MAX_CONSTANTS]
+
+
+def _are_opposite(slots: Sequence[Slot], one: Sequence[float], other: Sequence[float]) -> bool:
+    """Whether every range has the opposite value, and at least one number differs."""
+    pairs = list(zip(slots, one, other, strict=True))
+    return one != other and all(slot.options or a == -b or (a == b == slot.idle) for slot, a, b in pairs)
+
+
+def driver_text(slots: Sequence[Slot], actions: Sequence[Sequence[float]], holds: Sequence[int] | None = None) -> str:
+    """Actions as `--driver` takes them, each for so many steps."""
+    texts = [":".join(slot.text(value) for slot, value in zip(slots, action, strict=True)) for action in actions]
+    return ",".join(text if hold == 1 else f"{text}*{hold}" for text, hold in zip(texts, holds or [1] * len(texts), strict=True))
+
+
+# Families of drivers that are searched
+
+
+class Cycle:
+    """A sequence of actions that is repeated, each held for so many steps."""
+
+    def __init__(self, slots: Sequence[Slot], holds: Sequence[int]) -> None:
+        self.kind: DriverKind = "sequence"
+        self.slots, self._of_one, self._holds = list(slots) * len(holds), slots, holds
+
+    def driver(self, numbers: Sequence[float]) -> str:
+        width = len(self._of_one)
+        return driver_text(self._of_one, [numbers[at : at + width] for at in range(0, len(numbers), width)], self._holds)
+
+
+def sequence_shapes(longest: int) -> list[tuple[int, ...]]:
+    """The steps for which the actions of a cycle are held: two short cycles, and one that lasts the episode and holds the last longest."""
+    part = ceil(longest / 16)
+    return [(4, 4), (part, part), (part, part, 2 * part, 2 * part, 10 * part)]
+
+
+class Detour:
+    """A script that succeeds after `steps` is interrupted by an action: to the end of the episode, for `stay` steps, or again and again."""
+
+    def __init__(self, slots: Sequence[Slot], script: str, steps: int, stay: int | None) -> None:
+        self.kind: DriverKind = "detour"
+        length = Slot((), 0.0)
+        self.slots, self._of_one, self._script, self._steps, self._stay = [length, length, *slots], slots, script, steps, stay
+
+    def driver(self, numbers: Sequence[float]) -> str:
+        before, after = (1 + round((self._steps - 2) * (number + 1.0) / 2.0) for number in numbers[:2])
+        return f"{self._script}*{before},{driver_text(self._of_one, [numbers[2:]])}*{self._stay or after}"
+
+
+Family = Cycle | Detour
+
+
+class Distribution:
+    """Independent normal numbers from -1 to 1, and options with probabilities."""
+
+    def __init__(self, slots: Sequence[Slot]) -> None:
+        self._slots = slots
+        self._mean, self._deviation = np.array([slot.idle for slot in slots]), np.ones(len(slots))
+        self._odds = [np.full(max(1, len(slot.options)), 1.0 / max(1, len(slot.options))) for slot in slots]
+
+    def draw(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        numbers = np.clip(rng.normal(self._mean, self._deviation), -1.0, 1.0).round(2) + 0.0  # no -0
+        for at, slot in enumerate(self._slots):
+            if slot.options:
+                numbers[at] = rng.choice(len(slot.options), p=self._odds[at])
+        return numbers
+
+    def move_to(self, best: Sequence[NDArray[np.float64]]) -> None:
+        if not best:
+            return
+        numbers = np.array(best)
+        self._mean, self._deviation = numbers.mean(axis=0), numbers.std(axis=0) + _MIN_DEVIATION
+        for at, slot in enumerate(self._slots):
+            if slot.options:
+                seen = np.bincount(numbers[:, at].astype(int), minlength=len(slot.options)) + 1.0 / len(slot.options)
+                self._odds[at] = seen / seen.sum()
+
+
+# Motion
+
+
+class MotionWatch:
+    """How the first robot of the agent moves in an episode, from its reset on."""
+
+    def __init__(self, environment: Supervisor) -> None:
+        name = environment.scenario.agent.robots[0]
+        robot = next(robot for robot in environment.world.robots if robot.name.partition("#")[0] == name)
+        limited = [joint for joint in robot.model.moving_joints if joint.limit.lower is not None and joint.limit.upper is not None]
+        self._motion = environment.engine.motion(robot.name)
+        self._joints = environment.engine.joint_states(robot.name, [joint.name for joint in limited]) if limited else None
+        self._limits = [(float(joint.limit.lower or 0.0), float(joint.limit.upper or 0.0)) for joint in limited]
+        self._period = environment.scenario.period
+        self._start = self._place = self._motion()[0][0]
+        self._path = self._turned = 0.0
+        self._steps = self._stopped = 0
+
+    def add(self) -> None:
+        """Count one step."""
+        (place, _), (_, spin) = self._motion()
+        self._path += dist(place, self._place)
+        self._place = place
+        self._turned += spin[2] * self._period
+        self._steps += 1
+        if self._joints is not None:
+            states = zip(self._joints(), self._limits, strict=True)
+            self._stopped += all(min(state[0] - low, high - state[0]) < _AT_LIMIT * (high - low) for state, (low, high) in states)
+
+    def summary(self) -> dict[str, float]:
+        """The fields of a `DrivenEpisode` about motion."""
+        turns, stopped = abs(self._turned) / (2 * pi), self._stopped / max(1, self._steps)
+        return {"path": self._path, "distance": dist(self._place, self._start), "turns": turns, "stopped": stopped}
