@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict
-from itertools import combinations, islice, product, repeat
-from math import ceil, dist, pi
+from itertools import combinations, count, islice, product, repeat
+from math import ceil, dist, pi, prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -49,9 +49,8 @@ class ExploitSearch:
         self, program: Program, write: Callable[[dict[str, Any]], None], begin_step: Callable[[int], None], permissions: Permissions
     ) -> None:
         self._program, self._write, self._begin_step, self._permissions = program, write, begin_step, permissions
-        self._last = program.truncation.max_episode_steps(program.period)
         self._left = int(_MAX_WORK / work_per_step(program))
-        self._longest = max(10, min(self._last, self._left // 8))
+        self._longest = max(10, min(program.truncation.max_episode_steps(program.period), self._left // 4))
         self._played: dict[tuple[str, int], DrivenEpisode | None] = {}
         self._slots = action_slots(program.agent.action)
 
@@ -63,6 +62,9 @@ class ExploitSearch:
         except DeepbotsError as error:
             self._write({"stop": {"kind": "build", "text": str(error)}})
             return
+        last = self._program.truncation.max_episode_steps(self._program.period)
+        if self._longest < last:
+            self._write({"stop": {"text": f"only the first {self._longest:,} of {last:,} steps of an episode are played"}})
         with closing(self._environment):
             fixed = list(fixed_drivers(self._program))
             for number in range(_STARTS):
@@ -106,12 +108,11 @@ class ExploitSearch:
         environment, acting = self._environment, named_driver(self._environment, driver)
         watch: MotionWatch | None = None
         rows: list[list[float]] = []
-        count = 0
+        numbers = count(1)
 
         def act(observation: Any) -> Any:
-            nonlocal count
-            count += 1
-            self._begin_step(count)
+            self._begin_step(next(numbers))
+            self._left -= 1
             return acting.act(observation)
 
         step: Step | None = None
@@ -123,7 +124,6 @@ class ExploitSearch:
                 rows.append([*step.info["reward_terms"].values(), step.reward])
         assert step is not None
         assert watch is not None
-        self._left -= len(rows)
         values: NDArray[np.float64] = np.array(rows)
         quarters = [part.sum(axis=0) for part in np.array_split(values[:, :-1], 4)]
         rewards = values[:, -1]
@@ -240,7 +240,7 @@ def fixed_drivers(program: Program) -> Iterator[tuple[str, DriverKind]]:
 def _constants(slots: Sequence[Slot]) -> list[tuple[float, ...]]:
     """Combinations of the extremes; where these are many, each extreme alone, and all at the same end. The first does nothing."""
     idle = tuple(slot.idle for slot in slots)
-    if np.prod([len(slot.extremes) for slot in slots]) <= _MAX_CONSTANTS:
+    if prod(len(slot.extremes) for slot in slots) <= _MAX_CONSTANTS:
         return list(product(*(slot.extremes for slot in slots)))
     ends = [tuple(value if not slot.options else slot.idle for slot in slots) for value in (-1.0, 1.0)]
     alone = [(*idle[:at], value, *idle[at + 1 :]) for at, slot in enumerate(slots) for value in slot.extremes[1:]]
