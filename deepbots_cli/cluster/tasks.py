@@ -186,15 +186,17 @@ class Tasks:
 
         self._workers, self._watcher = workers, options.get("watcher", UNWATCHED)
         self._log, self._stop = options.get("log"), options.get("stop")
-        self._requirements = Requirements.of_this_process(options.get("files", ()))
-        if is_joined:
-            self._check_nodes()
+        self._requirements, self._is_joined = Requirements.of_this_process(options.get("files", ())), is_joined
+        for reason in self._unfit_nodes().values():
+            raise UsageError(reason)
         self._board = _make_board()
         # A process of its own has clean threads, generators and signals.
         max_calls = 0 if self._stop is None else 1
         self._perform = ray.remote(num_cpus=1, max_retries=0, max_calls=max_calls, scheduling_strategy="SPREAD")(perform)
         self._running: dict[Any, Call] = {}
         self._losses: Counter[int] = Counter()
+        self._left_out: set[str] = set()
+        self._where: dict[str, Any] = {}
         self._again: deque[Call] = deque()
         self._outcomes: dict[int, Any] = {}
 
@@ -212,7 +214,7 @@ class Tasks:
                     call = self._again.popleft() if self._again else next(calls, None)
                     if call is None:
                         break
-                    self._running[self._perform.remote(call, self._board)] = call
+                    self._running[self._perform.options(**self._where).remote(call, self._board)] = call
                 while following in self._outcomes:
                     yield self._outcomes.pop(following)
                     following += 1
@@ -239,9 +241,12 @@ class Tasks:
         try:
             outcome = ray.get(ready)
         except ray.exceptions.RayTaskError as error:
-            if not is_stopping:  # the signal may also come too late
+            if is_stopping:  # the signal may also come too late
+                outcome = None
+            elif isinstance(error.cause, ray.exceptions.RaySystemError) and self._leaves_out_nodes(call):  # which cannot import deepbots
+                return
+            else:
                 raise error.cause from error
-            outcome = None
         except ray.exceptions.RayError as error:
             self._losses[call.item] += 1
             if is_stopping:
@@ -253,6 +258,8 @@ class Tasks:
             else:
                 outcome = _too_many_losses(call, error)
         if isinstance(outcome, Refusal):
+            if self._leaves_out_nodes(call):
+                return
             raise UsageError(outcome.reason)
         self._outcomes[call.item] = outcome
         self._watcher.on_done(call.item, outcome)
@@ -277,26 +284,53 @@ class Tasks:
                     if call.item not in begun:
                         ray.cancel(running, force=True)
 
-    def _check_nodes(self) -> None:
-        """Raises: UsageError: A node of the cluster lacks something."""
+    def _leaves_out_nodes(self, call: Call) -> bool:
+        """Repeat a call without the nodes that lack something, which have joined since the start; whether there are any.
+
+        Raises:
+            UsageError: There is no other node.
+        """
+        unfit = self._unfit_nodes()
+        if not unfit:
+            return False
+        if len(unfit) == len(_nodes()):
+            raise UsageError(next(iter(unfit.values())))
+        for node, reason in unfit.items():
+            if node not in self._left_out:
+                self._watcher.on_note(call.item, f"a node that joined gets no work: {reason}")
+        self._left_out |= unfit.keys()
+        self._where = {"label_selector": {"ray.io/node-id": f"!in({','.join(sorted(self._left_out))})"}}
+        self._again.append(call)
+        return True
+
+    def _unfit_nodes(self) -> dict[str, str]:
+        """What nodes of a cluster lack, in a sentence for each."""
         import ray
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-        found = []
-        for node in ray.nodes():
-            if node["Alive"] and node["Resources"].get("CPU", 0) >= 1:
-                there = NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
-                check = ray.remote(num_cpus=0, max_retries=0, scheduling_strategy=there)(Requirements.unmet)
-                found.append((node["NodeManagerHostname"], check.remote(self._requirements)))
-        for host, checked in found:
+        checks, unfit = [], {}
+        for node, host in _nodes().items() if self._is_joined else ():
+            there = NodeAffinitySchedulingStrategy(node, soft=False)
+            check = ray.remote(num_cpus=0, max_retries=0, scheduling_strategy=there)(Requirements.unmet)
+            checks.append((node, host, check.remote(self._requirements)))
+        for node, host, check in checks:
             try:
-                reason = ray.get(checked)
-            except ray.exceptions.RayTaskError as error:
-                raise UsageError(f"the worker on {host} cannot import deepbots; install the same version there") from error
+                reason = ray.get(check)
+            except ray.exceptions.RayTaskError:
+                reason = f"the worker on {host} cannot import deepbots; install the same version there"
             except ray.exceptions.RayError:  # this node was lost meanwhile
                 continue
             if reason is not None:
-                raise UsageError(reason)
+                unfit[node] = reason
+        return unfit
+
+
+def _nodes() -> dict[str, str]:
+    """The hosts of the nodes with a CPU for workers, by the identifier of the node."""
+    import ray
+
+    found = ray.nodes()
+    return {node["NodeID"]: node["NodeManagerHostname"] for node in found if node["Alive"] and node["Resources"].get("CPU", 0) >= 1}
 
 
 def _too_many_losses(call: Call, error: Exception) -> DeepbotsError:

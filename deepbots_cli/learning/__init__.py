@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.policy import Policy, load_policy
     from deepbots_cli.learning.robustness import Robustness, evaluate_robustness
     from deepbots_cli.learning.run import TrainingResult
-    from deepbots_cli.learning.training import resume, train
+    from deepbots_cli.learning.training import checked_settings, resume, train
 
 _MODULES = {
     "comparison": ("Comparison", "GroupResult", "compare", "evaluate_group"),
@@ -53,7 +53,7 @@ _MODULES = {
     "policy": ("Policy", "load_policy"),
     "robustness": ("Robustness", "evaluate_robustness"),
     "run": ("TrainingResult",),
-    "training": ("resume", "train"),
+    "training": ("checked_settings", "resume", "train"),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = [
@@ -63,6 +63,7 @@ __all__ = [
     "Policy",
     "Robustness",
     "TrainingResult",
+    "checked_settings",
     "compare",
     "evaluate",
     "evaluate_baselines",

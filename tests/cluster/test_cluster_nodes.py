@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import random
+import re
 import shutil
 import signal
 import tempfile
 from collections.abc import Iterator
+from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 from test_cluster_fleet import act_at, outcomes
@@ -19,6 +21,8 @@ from deepbots_cli import api
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.learning import resume, train_group
 from deepbots_cli.learning.shards import THIS_PROCESS
+from deepbots_cli.learning.spread import Watcher
+from tests.cluster.calls import square
 
 pytest.importorskip("ray")
 
@@ -67,6 +71,30 @@ def test_a_training_that_stops_on_a_cluster_goes_on_in_this_process(nodes: Any, 
         trained("PPO", tmp_path / "run", cluster, progress=stop)
     resume(tmp_path / "run")
     assert outcome(tmp_path / "run") == trained("PPO", tmp_path / "here", THIS_PROCESS)
+
+
+@pytest.mark.slow
+def test_a_node_without_deepbots_that_joins_gets_no_work(nodes: Any, tmp_path: Path) -> None:
+    class Notes(Watcher):
+        texts: ClassVar[list[str]] = []
+
+        def on_note(self, item: int, text: str) -> None:
+            self.texts.append(text)
+
+    (tmp_path / "deepbots_cli.py").write_text("raise ImportError")
+    add(nodes)
+    with Cluster(address=nodes.address) as cluster:
+
+        def items() -> Iterator[int]:
+            yield 0
+            nodes.add_node(num_cpus=1, object_store_memory=100 << 20, env_vars={"PYTHONPATH": str(tmp_path)})
+            yield from takewhile(lambda _: not Notes.texts, range(4, 5_000))
+            yield from (1, 2)
+
+        first, *_, last = cluster.map(square, items(), watcher=Notes())
+    assert (first, last) == (0, 4)
+    (note,) = Notes.texts
+    assert re.fullmatch(r"a node that joined gets no work: the worker on .* cannot import deepbots; install the same version there", note)
 
 
 @pytest.mark.slow

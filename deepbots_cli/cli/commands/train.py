@@ -202,7 +202,7 @@ def command(
             "command": ["deepbots", *sys.argv[1:]],
         }
         with terminal.transient_line("loading PyTorch ..." if progress else ""):
-            from deepbots_cli.learning.training import checked_settings  # which imports torch
+            checked_settings = learning.checked_settings  # which imports torch
         checked_settings(compiled.program, listed or [seed or 0], **settings)
         settings["progress"] = progress
         if progress:
