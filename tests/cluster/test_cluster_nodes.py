@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 import random
 import re
-import shutil
 import signal
-import tempfile
 from collections.abc import Iterator
 from itertools import takewhile
 from pathlib import Path
@@ -23,23 +21,15 @@ from deepbots_cli.learning import resume, train_group
 from deepbots_cli.learning.shards import THIS_PROCESS
 from deepbots_cli.learning.spread import Watcher
 from tests.cluster.calls import square
+from tests.cluster.nodes import cluster_of_nodes
 
 pytest.importorskip("ray")
 
 
 @pytest.fixture
-def nodes(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """A Ray cluster on this machine, whose head has no CPU for workers."""
-    from ray.cluster_utils import Cluster as Nodes
-
-    folder = tempfile.mkdtemp(prefix="nodes-", dir="/tmp")  # sockets need a short path
-    monkeypatch.setenv("RAY_TMPDIR", folder)
-    found = Nodes(initialize_head=True, head_node_args={"num_cpus": 0, "object_store_memory": 150 << 20})
-    try:
+def nodes() -> Iterator[Any]:
+    with cluster_of_nodes() as found:
         yield found
-    finally:
-        found.shutdown()
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def add(nodes: Any) -> Any:
@@ -56,7 +46,7 @@ def test_a_node_that_is_lost_and_one_that_joins_change_nothing(nodes: Any, tmp_p
         nodes.remove_node(living.pop(generator.randrange(2)), allow_graceful=False)
         living.append(add(nodes))
 
-    events = At(300, replace_a_node)
+    events = At(150, replace_a_node)
     with Cluster(address=nodes.address) as cluster:
         found = trained(name, tmp_path / "nodes", cluster, progress=events)
     assert events.is_done

@@ -1,0 +1,75 @@
+"""Trainings are equal to the bit wherever their shards run: in this process, on workers, and on one or two nodes of a cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_cluster_shards import CASES, trained
+
+from deepbots_cli import api
+from deepbots_cli.cluster import Cluster
+from deepbots_cli.learning.shards import THIS_PROCESS
+from tests.cluster.nodes import cluster_of_nodes
+
+pytest.importorskip("ray")
+NODES = {"one node": (2,), "two nodes": (1, 1)}
+"""The CPUs of each node."""
+
+
+@pytest.fixture(scope="module", params=["workers", *NODES])
+def placement(request: pytest.FixtureRequest) -> Iterator[Cluster]:
+    """A Ray for all cases of a placement."""
+    if request.param == "workers":
+        with Cluster(workers=2) as found:
+            yield found
+        return
+    head, *others = NODES[request.param]
+    with cluster_of_nodes(head) as nodes:
+        for cpus in others:
+            nodes.add_node(num_cpus=cpus, object_store_memory=100 << 20)
+        with Cluster(address=nodes.address) as found:
+            yield found
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], Any]:
+    """What a training makes in this process."""
+
+    @cache
+    def of(name: str, shards: int) -> Any:
+        return trained(name, tmp_path_factory.mktemp("here") / "run", THIS_PROCESS, shards)
+
+    return of
+
+
+def check(placement: Cluster, here: Callable[[str, int], Any], folder: Path, name: str, shards: int) -> None:
+    found = result, episodes, evaluations = trained(name, folder / "run", placement, shards)
+    assert found == here(name, shards)
+    assert len(episodes) >= 20
+    assert evaluations
+    assert bool(result["stages"]) == ("curriculum" in name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shards", [2, 4])
+@pytest.mark.parametrize("name", list(CASES)[:5])
+def test_a_training_is_the_same_on_workers_and_nodes(
+    placement: Cluster, here: Callable[[str, int], Any], tmp_path: Path, name: str, shards: int
+) -> None:
+    check(placement, here, tmp_path, name, shards)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("placement", ["workers"], indirect=True)
+@pytest.mark.parametrize("name", list(CASES)[5:])
+def test_so_is_that_of_other_algorithms(placement: Cluster, here: Callable[[str, int], Any], tmp_path: Path, name: str) -> None:
+    check(placement, here, tmp_path, name, 4)
+
+
+@pytest.mark.parametrize("scenario", ["cartpole", "pit_escape"])
+def test_one_shard_is_the_training_without_shards(scenario: str) -> None:
+    assert api.compile(scenario, overrides=["train.shards=1"]).digest == api.compile(scenario).digest
