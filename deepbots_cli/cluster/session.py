@@ -14,12 +14,15 @@ import secrets
 import shutil
 import signal
 import socket
+import subprocess
+import sys
 import tempfile
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from deepbots_cli.api import build as api_build
@@ -45,6 +48,13 @@ _SETTINGS = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_worker_niceness": "0",  # workers have the priority of this process; by default they come after all others
 }
+_LOST = "error: the connection to Ray was lost, or this process was killed; to continue"
+_WITNESS = """
+import sys
+last = sys.stdin.read().splitlines()[-1]
+if last:
+    print(last, file=sys.stderr)
+"""
 
 
 class Cluster:
@@ -62,6 +72,7 @@ class Cluster:
             raise UsageError(f"the number of workers must be from 1 to {MAX_WORKERS}, not {workers}")
         self._workers, self._address = workers, address
         self._stack = ExitStack()
+        self._set_last_words: Callable[[str], None] = lambda text: None
 
     def __enter__(self) -> Self:
         try:
@@ -74,6 +85,8 @@ class Cluster:
             raise UsageError("this process uses a Ray cluster already; end it with ray.shutdown()")
         with ExitStack() as stack:
             stack.enter_context(_environment(_SETTINGS))
+            self._set_last_words = stack.enter_context(_last_words())
+            self._set_last_words(f"{_LOST} a training, use `deepbots train --resume`")
             with _termination_handler_kept():
                 if self._workers is not None:
                     self._start(stack)
@@ -143,6 +156,7 @@ class Cluster:
             raise UsageError("the argument `build` makes worlds in this process only; leave out the workers")
         pool = RemoteShards(run, build.keywords["permissions"], world_numbers(training), self.workers, note)
         stack.callback(pool.close)
+        self._set_last_words(f"{_LOST}: deepbots train --resume {quote(str(run.path))}")
         return pool
 
     @property
@@ -207,6 +221,26 @@ def _environment(settings: Mapping[str, str]) -> Iterator[None]:
             else:
                 os.environ[name] = value
         read_again()
+
+
+@contextmanager
+def _last_words() -> Iterator[Callable[[str], None]]:
+    """Yield a function that sets what another process prints if this one ends within the block.
+
+    Ray ends this process without a message when its node or the head of the cluster is lost, as soon as it needs one of them.
+    """
+    command = [sys.executable, "-ISc", _WITNESS]
+    witness = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True)
+
+    def set_last_words(text: str) -> None:
+        with suppress(OSError):  # the witness was killed
+            print(text, file=witness.stdin, flush=True)
+
+    with witness:
+        try:
+            yield set_last_words
+        finally:
+            set_last_words("")
 
 
 @contextmanager
