@@ -28,7 +28,9 @@ from deepbots_cli.rollout.worlds import Array
 MAX_LOSSES = 3
 """Workers that may be lost in one fragment of a shard."""
 _READY_TIMEOUT_S = 60.0
-"""How long shards wait for a new worker while others could take them."""
+"""How long shards wait for a new worker while others could take them, and then for the next attempt to start one."""
+_MAX_VAIN_STARTS = 5
+"""How often in a row all new workers may end while they start, if there are no others."""
 _LIBRARIES = ("numpy", "torch", "stable-baselines3", "pybullet", "mujoco")
 """Libraries on whose versions the numbers depend."""
 
@@ -123,7 +125,8 @@ class RemoteShards:
         """The worker of each shard; None after this was lost."""
         self._new: set[int] = set()
         """The shards that have to begin on their worker."""
-        self._started = 0
+        self._started = self._vain_starts = 0
+        self._next_start = 0.0
 
     def begin(self, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Any]:
         self._homes = [None] * len(self._worlds)
@@ -222,29 +225,49 @@ class RemoteShards:
         import ray
 
         missing = self._wanted - len(self._workers)
-        if not missing:
+        if not missing or (self._workers and time.monotonic() < self._next_start):
             return
+        waiting = self._begun(missing)
+        if not self._workers:
+            ray.wait(list(waiting))
+        ready, late = ray.wait(list(waiting), num_returns=len(waiting), timeout=_READY_TIMEOUT_S) if waiting else ((), ())
+        for call in late:  # its node was lost, or is busy with something else
+            ray.kill(waiting[call][1])
+        is_any_lost = bool(late)
+        for call in ready:
+            number, worker = waiting[call]
+            try:
+                self._check(ray.get(call))
+            except ray.exceptions.RayActorError as error:
+                if error.actor_init_failed:
+                    raise UsageError("a worker cannot import deepbots; install the same version on all nodes") from error
+                is_any_lost = True
+            else:
+                self._workers[number] = worker
+        if is_any_lost:
+            self._next_start = time.monotonic() + _READY_TIMEOUT_S
+        self._vain_starts = 0 if self._workers else self._vain_starts + 1
+        if self._vain_starts == _MAX_VAIN_STARTS:
+            log = self._log(self._started - 1)
+            raise RunError(f"{_MAX_VAIN_STARTS} workers in a row ended while they started; {log} has the output of the last one")
+        if not self._workers:
+            self._start_workers()
+
+    def _begun(self, missing: int) -> dict[Any, tuple[int, Any]]:
+        """Begin to start as many of the missing workers as the cluster has room for, at least one if there is none: the calls to wait
+        for, with number and worker."""
+        import ray
+
         free = int(ray.available_resources().get("CPU", 0))
+        if not self._workers and not free and not self._vain_starts:
+            self._note("waiting for a free CPU in the cluster")
         actor = ray.remote(ShardWorker).options(num_cpus=1, max_restarts=0, max_task_retries=0, scheduling_strategy="SPREAD")
         waiting = {}
         for _ in range(min(missing, free) if self._workers else max(1, min(missing, free))):
             number, self._started = self._started, self._started + 1
             worker = actor.remote(self._run.path.absolute(), number)
             waiting[worker.describe.remote()] = (number, worker)
-        if not self._workers and not free:
-            self._note("waiting for a free CPU in the cluster")
-        if not self._workers:
-            ray.wait(list(waiting))
-        ready, late = ray.wait(list(waiting), num_returns=len(waiting), timeout=_READY_TIMEOUT_S) if waiting else ((), ())
-        for call in late:  # its node was lost, or is busy with something else
-            ray.kill(waiting[call][1])
-        for call in ready:
-            number, worker = waiting[call]
-            with suppress(ray.exceptions.RayActorError):  # it is lost already
-                self._check(ray.get(call))
-                self._workers[number] = worker
-        if not self._workers:
-            self._start_workers()
+        return waiting
 
     def _check(self, there: dict[str, str]) -> None:
         """Compare a worker with this process."""

@@ -17,6 +17,7 @@ from test_cluster_shards import At, outcome, trained
 
 from deepbots_cli import api
 from deepbots_cli.cluster import Cluster
+from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import resume, train_group
 from deepbots_cli.learning.shards import THIS_PROCESS
 from deepbots_cli.learning.spread import Watcher
@@ -103,3 +104,15 @@ def test_trainings_go_on_when_a_node_is_lost_and_one_joins(nodes: Any, tmp_path:
     assert not found.failed
     train_group(compiled, (0, 1, 2), group=tmp_path / "here", total_timesteps=4_000)
     assert outcomes(tmp_path / "nodes") == outcomes(tmp_path / "here")
+
+
+@pytest.mark.slow
+def test_a_node_without_deepbots_is_refused(nodes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "other" / "deepbots_cli"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("raise ImportError('it is not installed')")
+    with monkeypatch.context() as patched:
+        patched.setenv("PYTHONPATH", str(package.parent))
+        add(nodes)
+    with Cluster(address=nodes.address) as cluster, pytest.raises(UsageError, match="a worker cannot import deepbots"):
+        trained("PPO", tmp_path / "run", cluster)
