@@ -92,6 +92,17 @@ def library_versions() -> dict[str, str]:
     return {"deepbots": deepbots_cli.__version__, **{name: text for name, text in versions().items() if name in _LIBRARIES}}
 
 
+def check_node() -> None:
+    """Raises: RunError: The Ray node of this process was lost; calls of Ray may wait for it forever."""
+    import ray
+
+    here = ray.get_runtime_context().get_node_id()
+    if not any(node["Alive"] for node in ray.nodes() if node["NodeID"] == here):
+        error = RunError("the Ray node of this process was lost")
+        error.add_note("start again; a training continues with `deepbots train --resume`")
+        raise error
+
+
 def write_output_to(path: Path) -> None:
     """Write standard output and error of this process into a file."""
     sys.stdout.flush()
@@ -228,8 +239,8 @@ class RemoteShards:
         if not missing or (self._workers and time.monotonic() < self._next_start):
             return
         waiting = self._begun(missing)
-        if not self._workers:
-            ray.wait(list(waiting))
+        while not self._workers and not ray.wait(list(waiting), timeout=_READY_TIMEOUT_S)[0]:
+            check_node()
         ready, late = ray.wait(list(waiting), num_returns=len(waiting), timeout=_READY_TIMEOUT_S) if waiting else ((), ())
         for call in late:  # its node was lost, or is busy with something else
             ray.kill(waiting[call][1])

@@ -20,7 +20,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple, NoReturn
 
-from deepbots_cli.cluster.shards import MAX_LOSSES, library_versions, write_output_to
+from deepbots_cli.cluster.shards import MAX_LOSSES, check_node, library_versions, write_output_to
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning.spread import UNWATCHED, Attempt, CallOptions, Item, Result
 
@@ -273,16 +273,19 @@ class Tasks:
         """Hand on the news; after a stop, take back the calls that have not begun."""
         import ray
 
-        with suppress(ray.exceptions.RayActorError, ray.exceptions.GetTimeoutError):
+        try:
             reports, notes, begun = ray.get(self._board.news.remote(is_stopping), timeout=_EXCHANGE_TIMEOUT_S)
-            for number, text in notes:
-                self._watcher.on_note(number, text)
-            for number, report in reports.items():
-                self._watcher.on_report(number, report)
-            if is_stopping:
-                for running, call in self._running.items():
-                    if call.item not in begun:
-                        ray.cancel(running, force=True)
+        except ray.exceptions.RayError:  # it starts again, unless its node was lost
+            check_node()
+            return
+        for number, text in notes:
+            self._watcher.on_note(number, text)
+        for number, report in reports.items():
+            self._watcher.on_report(number, report)
+        if is_stopping:
+            for running, call in self._running.items():
+                if call.item not in begun:
+                    ray.cancel(running, force=True)
 
     def _leaves_out_nodes(self, call: Call) -> bool:
         """Repeat a call without the nodes that lack something, which have joined since the start; whether there are any.
