@@ -1,0 +1,300 @@
+"""Processes that are killed at random moments change nothing in the result of a training, and leave no process behind.
+
+The environment variable KILLS_SEED repeats the moments of a run; a test that fails has printed it.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext, suppress
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from test_cluster_fleet import outcomes
+from test_cluster_shards import CASES, outcome, trained
+
+from deepbots_cli import api
+from deepbots_cli.learning import train_group
+from deepbots_cli.learning.shards import THIS_PROCESS
+from deepbots_cli.learning.spread import ONE_BY_ONE
+from tests.cluster.hasty import HastyCluster
+from tests.cluster.nodes import cluster_of_nodes
+
+pytest.importorskip("ray")
+pytestmark = pytest.mark.slow
+SEED = int(os.environ.get("KILLS_SEED", random.randrange(10**6)))
+KINDS = ("PPO", "SAC", "group", "PPO", "SAC")
+SEEDS = (0, 1, 2)
+WORKERS = ("ray::ShardWorker", "ray::perform")
+GROUP = ("cartpole", [*CASES["PPO"][1], "train.n_steps=32"], 1_280)
+"""The scenario of a group, what is changed in it, and the number of steps."""
+
+
+class Process(NamedTuple):
+    """A process; `started` distinguishes it from another one with its number."""
+
+    pid: int
+    started: str
+    parent: int
+    command: str
+
+
+def processes() -> list[Process]:
+    lines = subprocess.run(["ps", "-eo", "pid=,ppid=,lstart=,args="], capture_output=True, text=True, check=True).stdout.splitlines()
+    found = [line.split(maxsplit=7) for line in lines if "<defunct>" not in line]
+    return [Process(int(pid), " ".join(started), int(parent), command) for pid, parent, *started, command in found]
+
+
+def below(root: int) -> list[Process]:
+    """The processes that another one has started, and those that they have started."""
+    alive, found = processes(), {root}
+    while more := {process.pid for process in alive if process.parent in found} - found:
+        found |= more
+    return [process for process in alive if process.pid in found - {root}]
+
+
+class Processes:
+    """The processes that were seen; in the end, each has to be gone."""
+
+    def __init__(self) -> None:
+        self.seen: set[tuple[int, str]] = set()
+
+    def below(self, root: int) -> list[Process]:
+        found = below(root)
+        self.seen |= {(process.pid, process.started) for process in found if not process.command.startswith("ps ")}
+        return found
+
+    def left(self, timeout_s: float = 120.0) -> list[Process]:
+        """Those that are left; an agent of Ray whose node was killed looks for it for a minute."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            found = [process for process in processes() if process[:2] in self.seen]
+            if not found or time.monotonic() > deadline:
+                return found
+            time.sleep(0.5)
+
+
+@pytest.fixture(scope="module")
+def seen() -> Iterator[Processes]:
+    """Used before the clusters, so that it ends after them."""
+    found = Processes()
+    yield found
+    assert not found.left()
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Any]:
+    """What a training makes that nobody disturbs."""
+
+    @cache
+    def of(kind: str) -> Any:
+        folder = tmp_path_factory.mktemp("here") / "run"
+        return train(kind, folder, THIS_PROCESS if kind != "group" else ONE_BY_ONE)
+
+    return of
+
+
+def train(kind: str, folder: Path, place: Any) -> Any:
+    if kind != "group":
+        return trained(kind, folder, place)
+    scenario, changes, steps = GROUP
+    found = train_group(api.compile(scenario, overrides=changes), SEEDS, group=folder, total_timesteps=steps, spread=place)
+    assert not found.failed
+    return outcomes(folder)
+
+
+class Durations(NamedTuple):
+    """Seconds of a training until its first episodes are written, and from then on."""
+
+    start: float
+    episodes: float
+
+
+def has_episodes(folder: Path) -> bool:
+    return any(log.read_text().count("\n") > 2 for log in [*folder.glob("monitor.csv"), *folder.glob("*/monitor.csv")])
+
+
+class Site:
+    """Where the trainings run, and what can be killed there."""
+
+    def __init__(self, place: HastyCluster, nodes: Any, seen: Processes) -> None:
+        self.place, self._nodes, self._seen = place, nodes, seen
+        self._durations: dict[str, Durations] = {}
+
+    def durations(self, kind: str, folder: Path) -> Durations:
+        """Those of a training that nobody disturbs."""
+        if kind not in self._durations:
+            ended, began = threading.Event(), time.monotonic()
+            start: list[float] = []
+
+            def watch() -> None:
+                while not has_episodes(folder) and not ended.wait(0.02):
+                    pass
+                start.append(time.monotonic() - began)
+
+            watcher = threading.Thread(target=watch)
+            watcher.start()
+            train(kind, folder, self.place)
+            ended.set()
+            watcher.join()
+            self._durations[kind] = Durations(start[0], time.monotonic() - began - start[0])
+        return self._durations[kind]
+
+    def kill(self, generator: random.Random) -> list[str]:
+        """Kill one or two workers, or a node, for which another one joins; what was killed."""
+        found = self._seen.below(os.getpid())
+        nodes = sorted(self._nodes.worker_nodes, key=_raylet) if self._nodes else []
+        if nodes and generator.random() < 0.6:
+            node = generator.choice(nodes)
+            raylet = _raylet(node)
+            victims = [raylet, *(process.pid for process in below(raylet))]
+            if generator.random() < 0.5:  # the other processes end when they miss it
+                del victims[1:]
+            is_late = generator.random() < 0.5
+            if not is_late:
+                self.add_node()
+            for pid in victims:
+                _kill(pid)
+            self._nodes.remove_node(node, allow_graceful=False)
+            if is_late:
+                time.sleep(generator.uniform(0.0, 5.0))
+                self.add_node()
+            return [f"node with {len(victims)} processes, the other one joined {'after' if is_late else 'before'} that"]
+        workers = [
+            process for process in found if process.command.startswith((*WORKERS, *(["ray::Board"] if generator.random() < 0.2 else [])))
+        ]
+        if not workers:
+            return []
+        chosen = generator.sample(workers, 2 if len(workers) > 1 and generator.random() < 0.25 else 1)
+        for process in chosen:
+            _kill(process.pid)
+        return [process.command for process in chosen]
+
+    def add_node(self) -> None:
+        self._nodes.add_node(num_cpus=1, object_store_memory=100 << 20)
+        self._seen.below(os.getpid())
+
+
+def _raylet(node: Any) -> int:
+    return int(node.all_processes["raylet"][0].process.pid)
+
+
+def _kill(pid: int) -> None:
+    with suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL)
+
+
+@pytest.fixture(scope="module", params=["workers", "nodes"])
+def site(request: pytest.FixtureRequest, seen: Processes) -> Iterator[Site]:
+    if request.param == "workers":
+        with HastyCluster(workers=2) as place:
+            yield Site(place, None, seen)
+        return
+    with cluster_of_nodes() as nodes:
+        for _ in range(2):
+            nodes.add_node(num_cpus=1, object_store_memory=100 << 20)
+        with HastyCluster(address=nodes.address) as place:
+            yield Site(place, nodes, seen)
+
+
+class Killer(threading.Thread):
+    """Kills once, at a random moment of a training: often after its first episode, else at any moment."""
+
+    def __init__(self, site: Site, folder: Path, durations: Durations, generator: random.Random) -> None:
+        super().__init__()
+        self.killed: list[str] = []
+        self._site, self._folder, self._generator = site, folder, generator
+        self._awaits_episode = generator.random() < 0.7
+        self._after = generator.uniform(0.0, durations.episodes if self._awaits_episode else durations.start + durations.episodes)
+        self._ended = threading.Event()
+
+    def run(self) -> None:
+        while self._awaits_episode and not has_episodes(self._folder) and not self._ended.wait(0.02):
+            pass
+        self._ended.wait(self._after)
+        while not self._ended.is_set() and not self.killed:
+            self.killed = self._site.kill(self._generator)
+            self._ended.wait(0.1)
+
+    def end(self) -> None:
+        self._ended.set()
+        self.join()
+
+    def __str__(self) -> str:
+        return f"{self._after:.2f} s after {'the first episode' if self._awaits_episode else 'the start'}: {self.killed or 'nothing'}"
+
+
+@pytest.mark.parametrize(("site", "number"), [("workers", n) for n in range(8)] + [("nodes", n) for n in range(8, 20)], indirect=["site"])
+def test_workers_and_nodes_that_are_killed_change_nothing(site: Site, number: int, here: Callable[[str], Any], tmp_path: Path) -> None:
+    kind = KINDS[number % len(KINDS)]
+    expected, durations = here(kind), site.durations(kind, tmp_path / "undisturbed")
+    for attempt in range(10):  # until a training has not ended before the moment
+        folder = tmp_path / str(attempt)
+        killer = Killer(site, folder, durations, random.Random(f"{SEED}/{number}/{attempt}"))
+        killer.start()
+        try:
+            found = train(kind, folder, site.place)
+        finally:
+            killer.end()
+        print(f"KILLS_SEED={SEED} {number}: {kind}, {killer}", file=sys.stderr)
+        assert found == expected
+        if killer.killed:
+            return
+    pytest.fail("every training ended before the kill")
+
+
+def command(kind: str, folder: Path, *place: str) -> list[str]:
+    scenario, changes, steps = GROUP if kind == "group" else CASES[kind]
+    parts = ["--seeds", ",".join(map(str, SEEDS))] if kind == "group" else ["--shards", "2"]
+    sets = [part for change in changes for part in ("--set", change)]
+    return ["train", scenario, *sets, *parts, "--timesteps", str(steps), "--run", str(folder), "--quiet", *place]
+
+
+def begun(arguments: list[str]) -> subprocess.Popen[str]:
+    """The command, in a process of its own."""
+    hasty = [sys.executable, "-m", "tests.cluster.hasty", *arguments]
+    return subprocess.Popen(hasty, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2])
+
+
+@pytest.mark.parametrize("number", range(20, 25))
+def test_a_driver_or_a_head_that_is_killed_loses_nothing(number: int, seen: Processes, here: Callable[[str], Any], tmp_path: Path) -> None:
+    generator, kind, folder = random.Random(f"{SEED}/{number}"), KINDS[number % len(KINDS)], tmp_path / "run"
+    is_head, waits_for_episode, after = number >= 23, generator.random() < 0.7, generator.uniform(0.0, 4.0)
+    with cluster_of_nodes() if is_head else nullcontext() as nodes:
+        place = ["--workers", "2"]
+        if nodes is not None:
+            place = ["--cluster", nodes.address]
+            for _ in range(2):
+                nodes.add_node(num_cpus=1, object_store_memory=100 << 20)
+        driver = begun(command(kind, folder, *place))
+        while not (has_episodes(folder) if waits_for_episode else folder.exists()) and driver.poll() is None:
+            time.sleep(0.02)
+        time.sleep(after)
+        seen.below(os.getpid())
+        is_ended = driver.poll() is not None
+        if nodes is not None:
+            nodes.head_node.kill_all_processes(check_alive=False, allow_graceful=False, wait=True)
+        else:
+            driver.kill()
+        _, printed = driver.communicate(timeout=90)
+        print(f"KILLS_SEED={SEED} {number}: {kind}, {'head' if is_head else 'driver'} {after:.2f} s after the first episode", is_ended)
+        assert is_ended or driver.returncode != 0
+        assert is_ended or printed.splitlines()[-1].startswith(
+            "error: the connection to Ray was lost, or this process was killed; to continue"
+        ), printed
+        assert "Traceback" not in printed
+    if not is_ended or kind != "group":
+        resumed = begun(["train", "--resume", str(folder), "--quiet", "--workers", "2"])
+        seen.below(os.getpid())
+        _, printed = resumed.communicate(timeout=300)
+        assert resumed.returncode == 0 or "is complete" in printed, printed
+    assert (outcomes if kind == "group" else outcome)(folder) == here(kind)
