@@ -20,6 +20,11 @@ def python_command(module: str, *arguments: str) -> list[str]:
     return [sys.executable, "-m", module, *arguments]
 
 
+def python_script(text: str) -> list[str]:
+    """The command line that runs a script of the standard library alone: without packages, the environment and the working directory."""
+    return [sys.executable, "-ISc", text]
+
+
 def python_environment(changes: Mapping[str, str] | None = None) -> dict[str, str]:
     """The environment of such a process, in which this very deepbots is found.
 

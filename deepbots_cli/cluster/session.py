@@ -15,7 +15,6 @@ import shutil
 import signal
 import socket
 import subprocess
-import sys
 import tempfile
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
@@ -28,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Self, Unpack
 from deepbots_cli.api import build as api_build
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.learning.spread import Attempt, CallOptions, Item, Result
-from deepbots_cli.processes import python_environment
+from deepbots_cli.processes import python_environment, python_script
 
 if TYPE_CHECKING:  # what evaluates and trains imports torch; tests of scenarios do without
     from deepbots_cli.learning.environments import WorldFactory
@@ -229,8 +228,7 @@ def _last_words() -> Iterator[Callable[[str], None]]:
 
     Ray ends this process without a message when its node or the head of the cluster is lost, as soon as it needs one of them.
     """
-    command = [sys.executable, "-ISc", _WITNESS]
-    witness = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True)
+    witness = subprocess.Popen(python_script(_WITNESS), stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True)
 
     def set_last_words(text: str) -> None:
         with suppress(OSError):  # the witness was killed

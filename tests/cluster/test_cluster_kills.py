@@ -164,7 +164,8 @@ class Site:
                 self.add_node()
             for pid in victims:
                 _kill(pid)
-            self._nodes.remove_node(node, allow_graceful=False)
+            self._nodes.worker_nodes.remove(node)
+            node.kill_all_processes(check_alive=False, allow_graceful=False, wait=True)
             if is_late:
                 time.sleep(generator.uniform(0.0, 5.0))
                 self.add_node()
@@ -212,6 +213,7 @@ class Killer(threading.Thread):
     def __init__(self, site: Site, folder: Path, durations: Durations, generator: random.Random) -> None:
         super().__init__()
         self.killed: list[str] = []
+        self._error: Exception | None = None
         self._site, self._folder, self._generator = site, folder, generator
         self._awaits_episode = generator.random() < 0.7
         self._after = generator.uniform(0.0, durations.episodes if self._awaits_episode else durations.start + durations.episodes)
@@ -221,13 +223,18 @@ class Killer(threading.Thread):
         while self._awaits_episode and not has_episodes(self._folder) and not self._ended.wait(0.02):
             pass
         self._ended.wait(self._after)
-        while not self._ended.is_set() and not self.killed:
-            self.killed = self._site.kill(self._generator)
-            self._ended.wait(0.1)
+        try:
+            while not self._ended.is_set() and not self.killed:
+                self.killed = self._site.kill(self._generator)
+                self._ended.wait(0.1)
+        except Exception as error:  # noqa: BLE001  # raised by `end`, since this is a thread
+            self._error = error
 
     def end(self) -> None:
         self._ended.set()
         self.join()
+        if self._error is not None:
+            raise self._error
 
     def __str__(self) -> str:
         return f"{self._after:.2f} s after {'the first episode' if self._awaits_episode else 'the start'}: {self.killed or 'nothing'}"
