@@ -203,6 +203,7 @@ def site(request: pytest.FixtureRequest, seen: Processes) -> Iterator[Site]:
     with cluster_of_nodes() as nodes:
         for _ in range(2):
             nodes.add_node(num_cpus=1, object_store_memory=100 << 20)
+        nodes._shutdown_at_exit = False  # only the main thread could install the handlers of a node that joins later
         with HastyCluster(address=nodes.address) as place:
             yield Site(place, nodes, seen)
 
