@@ -16,6 +16,7 @@ from deepbots_cli.compiler.namespace import Namespace, NamespaceReader, Supervis
 from deepbots_cli.compiler.policy import Decisions
 from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Findings, Label, Span
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import Document, Entry, MappingNode
 from deepbots_cli.document.load import apply_setting
 from deepbots_cli.document.nodes import NodePath, ScalarNode, count_and_depth, entries_at, follow_dotted, without_paths
@@ -40,6 +41,7 @@ from deepbots_cli.program.task import (
     Schedule,
     ScriptedChoice,
     ScriptedRange,
+    Teacher,
     Training,
     Truncation,
 )
@@ -49,6 +51,7 @@ from deepbots_cli.scenario.scenario import DiscreteAction, Expectation, Scenario
 from deepbots_cli.scenario.scenario import ScenarioTest as TestSpec
 from deepbots_cli.scenario.training import ActionNoise as ActionNoiseSpec
 from deepbots_cli.scenario.training import Hindsight as HindsightSpec
+from deepbots_cli.scenario.training import Teacher as TeacherSpec
 from deepbots_cli.scenario.training import Training as TrainingSpec
 
 if TYPE_CHECKING:
@@ -102,7 +105,24 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
         spec.train.normalize,
         spec.train.device,
         spec.train.shards,
+        _teacher(namespace, copies),
     )
+
+
+def _teacher(namespace: Namespace, copies: RobotCopies | None) -> Teacher | None:
+    assert namespace.scenario.train is not None
+    given, values = namespace.scenario.train.teacher, namespace.values
+    if given is None:
+        return None
+    spec = TeacherSpec(script=given) if isinstance(given, str) else given
+    path = ("train", "teacher") if isinstance(given, str) else ("train", "teacher", "script")
+    if spec.script not in namespace.scenario.scripts and not values.is_invalid("scripts"):
+        near = nearest_word(spec.script, namespace.scenario.scripts)
+        help = f"did you mean `{near}`?" if near else "name a script from `scripts`"
+        values.add("DB201", path, f"there is no script `{spec.script}`", help)
+    elif copies is not None:
+        values.add("DB102", path, "a teacher cannot teach copies of a robot", "leave out `teacher`")
+    return Teacher(spec.script, spec.share)
 
 
 def _action_noise(given: ActionNoiseSpec | None) -> ActionNoise | None:

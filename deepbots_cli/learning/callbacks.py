@@ -11,7 +11,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from shlex import quote
 from types import FrameType
@@ -29,9 +29,11 @@ from deepbots_cli.learning.episodes import Statistics, Summary
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.report import LINE_INTERVAL_S, Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.teacher import Plan, TeacherState, Teaching
 from deepbots_cli.program import Program
-from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.collector import ShardedCollector
+from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.rollout.episode import OnEpisode
 from deepbots_cli.rollout.policies import Predictor, play_batch, play_episodes
 from deepbots_cli.runtime.batch import BatchSupervisor
@@ -110,6 +112,11 @@ class EvaluationWorld:
             self._scenario = scenario
         return play_episodes(policy, [self._world], self.seeds[:count], deterministic=True, numbers=numbers, on_episode=on_episode)
 
+    def play_script(self, name: str, scenario: Program, count: int) -> list[Episode]:
+        """The episodes of a script from the starts of an evaluation."""
+        with closing(self._build(scenario)) as world:
+            return [play(world, named_driver(world, name), Start(seed)) for seed in self.seeds[:count]]
+
     def close(self) -> None:
         if self._world is not None:
             self._world.close()
@@ -167,6 +174,10 @@ class Evaluator:
         self.steps += sum(episode.length for episode in found)
         return found
 
+    def play_script(self, name: str, scenario: Program) -> list[Episode]:
+        """The episodes of a script from the starts of the evaluations."""
+        return self._world.play_script(name, scenario, EVALUATION_EPISODES)
+
     def close(self) -> None:
         self._world.close()
         if self._batch is not None:
@@ -195,6 +206,7 @@ class CallbackState(BaseModel, strict=True, allow_inf_nan=False):
     solved_seen: bool
     evaluated_at: Annotated[int, Field(ge=-1)]
     evaluation_steps: NonNegativeInt
+    teacher: TeacherState | None = None
 
 
 class TrainingCallback:
@@ -217,6 +229,8 @@ class TrainingCallback:
         self.run = run
         self.statistics = statistics
         self.curriculum = curriculum
+        self.teaching: Teaching | None = None
+        self._is_driven = False
         self.evaluator = evaluator
         self.reporter = reporter
         self.total = total
@@ -256,6 +270,7 @@ class TrainingCallback:
             solved_seen=self._solved_seen,
             evaluated_at=self._evaluated_at,
             evaluation_steps=self.evaluator.steps,
+            teacher=None if self.teaching is None else self.teaching.state(),
         )
 
     def restore(self, state: CallbackState) -> None:
@@ -263,6 +278,19 @@ class TrainingCallback:
         self.best = None if state.best is None else ModelRank(*state.best)
         self.confirmed, self._solved_seen, self._evaluated_at = state.confirmed, state.solved_seen, state.evaluated_at
         self.evaluator.steps = state.evaluation_steps
+        if self.teaching is not None and state.teacher is not None:
+            self.teaching.restore(state.teacher)
+
+    def plan_lesson(self) -> Plan:
+        """What the teacher does next. Episodes that it drives say nothing about the policy, so they do not solve the task."""
+        assert self.teaching is not None
+        plan = self.teaching.plan(self.statistics.steps)
+        drives = plan.lesson is not None and plan.lesson.worlds > 0
+        if self._is_driven and not drives:
+            self.statistics.recent.clear()
+        self._is_driven = drives
+        self.statistics.final = self.curriculum.is_last and not drives
+        return plan
 
     def begin_stage(self) -> None:
         """Returns of one stage say nothing in another: the best is sought anew."""
@@ -324,6 +352,8 @@ class TrainingCallback:
         self.evaluation_seconds += time.monotonic() - began
         summary = Summary.of_episodes(done)
         self._evaluated_at = steps
+        if self.teaching is not None:
+            self.teaching.on_evaluation(summary, steps, defines_success=self.defines_success)
         self.confirmed = ends and summary.meets_solved(solved)
         rank = ModelRank(self.confirmed, summary.meets_solved(solved), summary.mean_return)
         if self.best is None or rank >= self.best:  # of equals the later one, which has seen more

@@ -36,6 +36,9 @@ def reasons_against_batch(program: Program, worlds: int, engine: str, build: Wor
         return [f"the engine '{engine}' has no batches"]
     if _rows(program, worlds) < MIN_WORLDS:
         return [f"there are fewer than {MIN_WORLDS} worlds"]
+    training = program.agent.training
+    if training is not None and training.teacher is not None:
+        return ["a script reads what only a single world computes"]
     own = [] if getattr(build, "func", None) is api.build else ["the argument `build` makes its worlds"]
     stages = [stage.program for stage in program.curriculum]
     return list(dict.fromkeys([*own, *(reason for one in (program, *stages) for reason in batch_obstacles(one))]))

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
     from deepbots_cli.learning.callbacks import TrainingCallback
     from deepbots_cli.learning.sb3.logs import TrainingLog
+    from deepbots_cli.learning.teacher import Plan
 
 _MAX_DATA_BYTES = 8_000_000
 
@@ -114,6 +115,14 @@ class Learner(ABC):
     @abstractmethod
     def collect(self) -> bool:
         """Collect the next fragment; False if the monitor of the training stopped it before."""
+
+    def be_taught(self, plan: Plan) -> None:
+        """Called before each fragment of a training with a teacher.
+
+        Raises:
+            UsageError: The algorithm cannot learn from a teacher.
+        """
+        raise UsageError(f"{self.setup.training.algorithm} cannot learn from a teacher; leave out `teacher` under `train`")
 
     def actor(self) -> PolicyActor:
         """The policy as it acts to learn; shards have copies of it.

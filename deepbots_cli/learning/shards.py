@@ -33,6 +33,7 @@ from deepbots_cli.rollout.collector import (
     Evaluated,
     EvaluationOrder,
     Harvest,
+    Lesson,
     LocalCollector,
     Order,
     RunningEpisode,
@@ -189,7 +190,7 @@ class Shard:
         with _random_numbers_kept():
             self._seed(derive_seed(self._run.record.seed, "shard", self._number, order.begun))
             actor.begin()
-            fragment = self._collector.collect(actor, order.steps, with_masks=order.with_masks)
+            fragment = self._collector.collect(actor, order.steps, with_masks=order.with_masks, lesson=self._lesson(order.lesson))
         if fragment is None:
             raise RuntimeError("nothing can end a fragment of a shard")
         worlds, rows = self._collector.worlds, self._collector.rows // len(self._numbers)
@@ -206,6 +207,12 @@ class Shard:
         with _random_numbers_kept():
             played = self._evaluation.play(policy, self._run.program.variant(None, order.stage), order.episodes, order.stage, numbers)
         return Evaluated(dict(zip(numbers, played, strict=True)))
+
+    def _lesson(self, lesson: Lesson | None) -> Lesson | None:
+        """The part of this shard in a lesson."""
+        if lesson is None:
+            return None
+        return lesson._replace(worlds=max(0, min(lesson.worlds - self._numbers[0], len(self._numbers))))
 
     def _begun(self) -> Learner:
         if self._policy is None:

@@ -49,6 +49,7 @@ from deepbots_cli.learning.sb3 import algorithms, plugins
 from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.learning.sb3.logs import TrainingLog
 from deepbots_cli.learning.shards import THIS_PROCESS, Placement
+from deepbots_cli.learning.teacher import Teaching
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout import Episode
@@ -57,6 +58,7 @@ from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.rollout.worlds import Worlds
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
+from deepbots_cli.scenario.training import ALGORITHMS
 
 
 @dataclass(frozen=True)
@@ -352,6 +354,14 @@ def run_training(
     statistics.final = curriculum.is_last
     evaluator = Evaluator(build, run.record.seed, run)
     callback = TrainingCallback(run, statistics, curriculum, evaluator, reporter, training.total_timesteps, on_evaluation)
+    if training.teacher is not None:
+        callback.teaching = Teaching(
+            training.teacher,
+            training.total_timesteps,
+            training.environments,
+            longest_episode(run.program),
+            on_policy=ALGORITHMS[training.algorithm].on_policy,
+        )
     if checkpoints.state is not None:
         callback.restore(checkpoints.state.callback)
     status: Status = "failed"
@@ -374,6 +384,7 @@ def run_training(
             checkpoints.on_restored.append(lambda: log.open(training, is_new=checkpoints.state is None))
             if run.record.initialized_from is not None:
                 learner.initialize(run.model("initial"))
+            _introduce_teacher(callback, evaluator, reporter)
             stack.enter_context(signals_handled(callback.interruption))
             # TensorBoard's writer raises the error of a thread that cannot write a file again, at its next call: no traceback meanwhile.
             report_failure = threading.excepthook
@@ -495,6 +506,19 @@ def make_collector(
     return LocalCollector(worlds)
 
 
+def _introduce_teacher(callback: TrainingCallback, evaluator: Evaluator, reporter: Reporter) -> None:
+    """Play the script that teaches, and say how good it is."""
+    if callback.teaching is None:
+        return
+    name = callback.teaching.teacher.script
+    episodes = evaluator.play_script(name, callback.curriculum.scenario_of(callback.curriculum.index))
+    callback.teaching.begin(episodes, defines_success=callback.defines_success)
+    score = callback.teaching.score
+    if score is not None:
+        success = f"success {score.success_rate:.0%}, " if callback.defines_success else ""
+        reporter.note(f"the teacher {name}: {success}mean return {score.mean_return:.3g} in {len(episodes)} episodes")
+
+
 def _timed(on_iteration: OnIteration, callback: TrainingCallback, collector: Collector) -> Callable[[float, float], None]:
     """A function that takes the times of a fragment and its update."""
     evaluations = 0.0
@@ -524,6 +548,8 @@ def learn_until_done(
             return "finished"
         learner.start()
         while statistics.steps < callback.total and callback.stopped_by is None and checkpoints.before_rollout():
+            if callback.teaching is not None:
+                learner.be_taught(callback.plan_lesson())
             began = time.perf_counter()
             if not learner.collect():
                 break

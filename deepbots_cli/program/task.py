@@ -434,6 +434,18 @@ class Hindsight:
 
 
 @dataclass(frozen=True)
+class Teacher:
+    """A script from which the policy learns first.
+
+    Attributes:
+        share: Of all timesteps, the largest share in which the policy only imitates the script.
+    """
+
+    script: str
+    share: float = 0.3
+
+
+@dataclass(frozen=True)
 class Training:
     algorithm: str
     total_timesteps: int
@@ -445,9 +457,11 @@ class Training:
     normalize: Literal["reward"] | None = None
     device: Literal["auto", "cpu", "cuda"] = "cpu"
     shards: int = 1
+    teacher: Teacher | None = None
 
     def digest_fields(self) -> dict[str, object]:
-        return {name: value for name, value in vars(self).items() if name != "shards" or value > 1}
+        later = {"shards": 1, "teacher": None}
+        return {name: value for name, value in vars(self).items() if name not in later or value != later[name]}
 
 
 # Agent

@@ -38,6 +38,17 @@ Actor = Callable[[Any, Array, Array | None], Decision]
 """Acts on the observations of all rows, given which rows begin an episode, and which options are allowed (None: all)."""
 
 
+_NOISE = 0.1
+"""Standard deviation of the noise on ranges where a script drives, in the agent's [-1, 1]."""
+
+
+class Lesson(NamedTuple):
+    """What a script teaches in a fragment: its actions become the column `taught`, and it drives the first `worlds`."""
+
+    script: str
+    worlds: int
+
+
 class PolicyActor(Protocol):
     """An actor with the policy of a learner, of which shards have copies."""
 
@@ -118,7 +129,9 @@ class Collector(Protocol):
     observation_space: gym.Space[Any]
     action_space: gym.Space[Any]
 
-    def collect(self, actor: Actor, steps: int, on_step: OnStep, *, with_masks: bool = False) -> Fragment | None:
+    def collect(
+        self, actor: Actor, steps: int, on_step: OnStep, *, with_masks: bool = False, lesson: Lesson | None = None
+    ) -> Fragment | None:
         """The next `steps` of every row; None if `on_step` ended it before. `with_masks` gives the actor which options are allowed."""
 
     def state(self) -> ShardState:
@@ -151,11 +164,21 @@ class LocalCollector:
         """The observations that the agents act on next; the first episodes begin if none has."""
         return self.worlds.reset() if self.worlds.observations is None else self.worlds.observations
 
-    def collect(self, actor: Actor, steps: int, on_step: OnStep = lambda step: True, *, with_masks: bool = False) -> Fragment | None:
+    def collect(
+        self,
+        actor: Actor,
+        steps: int,
+        on_step: OnStep = lambda step: True,
+        *,
+        with_masks: bool = False,
+        lesson: Lesson | None = None,
+    ) -> Fragment | None:
         observations, starts = self.begin(), self.starts
         seen, decisions, rewards, begun, endings = [], [], [], [], []
         for number in range(steps):
             decision = actor(observations, starts, self.action_masks() if with_masks else None)
+            if lesson is not None:
+                decision = self.taught(decision, lesson)
             seen.append(observations)
             decisions.append(decision)
             begun.append(starts)
@@ -168,6 +191,20 @@ class LocalCollector:
         columns = {name: np.stack([decision.columns[name] for decision in decisions]) for name in decisions[0].columns}
         actions = np.stack([decision.actions for decision in decisions])
         return Fragment(_joined(np.stack, seen), actions, np.stack(rewards), np.stack(begun), columns, observations, starts, endings)
+
+    def taught(self, decision: Decision, lesson: Lesson) -> Decision:
+        """What is done in a step of a lesson. The script drives with some noise, so that it meets more states than its own."""
+        taught = self.worlds.scripted(lesson.script)
+        columns = {**decision.columns, "taught": taught}
+        actions, own = np.array(decision.actions), taught[: lesson.worlds]
+        if lesson.worlds:
+            if isinstance(self.action_space, gym.spaces.Box):
+                own = np.clip(own + np.random.normal(0.0, _NOISE, own.shape), -1.0, 1.0)
+            actions[: lesson.worlds] = own
+            if "stored" in columns:
+                columns["stored"] = np.array(columns["stored"])
+                columns["stored"][: lesson.worlds] = own
+        return Decision(actions, columns)
 
     def step_all(self, actions: Any) -> WorldsStep:
         """One step, for a learner that asks for single steps."""
@@ -236,6 +273,7 @@ class Order:
         next_episode: The number of the next episode of the training, from 1.
         stage: The number of the present stage of the curriculum.
         with_masks: Whether the actor wants to know which options are allowed.
+        lesson: What a script teaches; its `worlds` are counted over all shards.
     """
 
     parameters: Mapping[str, Any]
@@ -244,6 +282,7 @@ class Order:
     next_episode: int
     stage: int
     with_masks: bool
+    lesson: Lesson | None = None
 
 
 @dataclass(frozen=True)
@@ -394,13 +433,13 @@ class ShardedCollector:
         self.starts = np.repeat([not len(episode.actions) for episode in self.episodes], self._width)
         return _joined(np.concatenate, self._pool.begin(self._by_shard(self.episodes)))
 
-    def fetch(self, actor: PolicyActor, steps: int, *, with_masks: bool = False) -> Fragment:
+    def fetch(self, actor: PolicyActor, steps: int, *, with_masks: bool = False, lesson: Lesson | None = None) -> Fragment:
         """The next `steps` of every row, which `step_all` then counts one by one."""
         self.begin()
         memory = {name: self._by_shard(array, self._width) for name, array in actor.memory().items()}
         memories = [{name: parts[shard] for name, parts in memory.items()} for shard in range(len(self._sizes))]
         begun, next_episode, stage = self._listener.present()
-        order = Order(actor.parameters(), steps, begun, next_episode, stage, with_masks)
+        order = Order(actor.parameters(), steps, begun, next_episode, stage, with_masks, lesson)
         asked = perf_counter()
         harvests = self._pool.collect(order, memories, self._by_shard(self.episodes))
         self._note_times(harvests, perf_counter() - asked)
@@ -467,9 +506,17 @@ class ShardedCollector:
         """The next step of the fragment that was fetched; the worlds have acted already."""
         return next(self._replay)
 
-    def collect(self, actor: Actor, steps: int, on_step: OnStep = lambda step: True, *, with_masks: bool = False) -> Fragment | None:
+    def collect(
+        self,
+        actor: Actor,
+        steps: int,
+        on_step: OnStep = lambda step: True,
+        *,
+        with_masks: bool = False,
+        lesson: Lesson | None = None,
+    ) -> Fragment | None:
         """As of a `Collector`; the actor is a `PolicyActor`."""
-        fragment = self.fetch(cast(PolicyActor, actor), steps, with_masks=with_masks)
+        fragment = self.fetch(cast(PolicyActor, actor), steps, with_masks=with_masks, lesson=lesson)
         return fragment if all(on_step(step) for step in self._replay) else None
 
     def state(self) -> ShardState:

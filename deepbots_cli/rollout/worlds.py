@@ -117,6 +117,10 @@ class Worlds:
             return None
         return np.stack([agent.get_wrapper_attr("action_masks")() for agent in agents])
 
+    def scripted(self, name: str) -> Array:
+        """What a script of the scenario would do next in each world, in the action space."""
+        return np.stack([np.asarray(world.get_wrapper_attr("script")(name)) for world in self.worlds])
+
     def reset(self) -> Any:
         """Begin the first episodes, or once more from the seeds; the observations."""
         return self.repeat([EpisodeHistory(seed, []) for seed in self.starts])

@@ -45,6 +45,15 @@ class Hindsight(Section):
     (`episode`)."""
 
 
+class Teacher(Section):
+    """A script that teaches the policy."""
+
+    script: PlainText
+    """Name of a script of the scenario. It may use values that the policy does not observe."""
+    share: Fraction = 0.3
+    """Largest share of the timesteps in which the script drives or the policy only imitates it, 0 to 1."""
+
+
 class PolicyNetwork(Section):
     """The network of the policy."""
 
@@ -78,6 +87,8 @@ class Training(Section):
     """The network of the policy."""
     normalize: Literal["reward"] | None = None
     """`reward` divides rewards by a running standard deviation of the return, for learning only; logs show the original rewards."""
+    teacher: Annotated[Teacher | PlainText, FORMS] | None = None
+    """A script from which the policy learns first: its name, or a mapping."""
     device: Literal["auto", "cpu", "cuda"] = "cpu"
     """Device of the networks during training. `auto` is `cuda` (a GPU) if there is one, otherwise `cpu`. Small networks train faster on the
     CPU."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from inspect import signature
 from pathlib import Path
 from typing import Any, get_args
@@ -28,9 +29,11 @@ from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointS
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
 from deepbots_cli.learning.sb3 import algorithms, models, networks, rollouts, state
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment, as_returned, spaces_only
+from deepbots_cli.learning.sb3.imitation import imitating
 from deepbots_cli.learning.sb3.logs import encoded, number_of
+from deepbots_cli.learning.teacher import Plan
 from deepbots_cli.program.task import Training
-from deepbots_cli.rollout.collector import Fragment, LocalCollector, PolicyActor, ShardedCollector
+from deepbots_cli.rollout.collector import Decision, Fragment, Lesson, LocalCollector, PolicyActor, ShardedCollector
 from deepbots_cli.rollout.worlds import WorldsStep
 
 SCALAR_WINDOW_STEPS = 256
@@ -52,6 +55,9 @@ class StableLearner(Learner):
         if collector is not None and setup.training.normalize is not None:
             gamma: Any = next((h.value for h in setup.training.hyperparameters if h.name == "gamma"), 0.99)
             env = VecNormalize(env, norm_obs=False, gamma=gamma)  # rewards by a running standard deviation of the return
+        mixin: type[_SavesPlainly] = _SavesPlainly if setup.training.teacher is None else _IsTaught
+        if isinstance(collector, ShardedCollector):
+            mixin = _RepeatsActions
         self.model: Any = algorithms.create(
             setup.training,
             env,
@@ -59,7 +65,7 @@ class StableLearner(Learner):
             total_timesteps=setup.total_timesteps,
             longest_episode=setup.longest_episode,
             to_learn=setup.collector is not None,
-            mixin=_RepeatsActions if isinstance(collector, ShardedCollector) else _SavesPlainly,
+            mixin=mixin,
         )
         self.takes_masks = algorithms.takes_masks(self.model)
         self.confirms = isinstance(self.model, OffPolicyAlgorithm)
@@ -70,6 +76,8 @@ class StableLearner(Learner):
         elif not (self._by_fragments or collector is None or isinstance(collector, LocalCollector)):
             raise UsageError(f"{setup.training.algorithm} needs its worlds in the training process")
         self._followers: Sequence[BaseCallback] = ()
+        self._plan = Plan()
+        self._taught: Array | None = None
         if collector is None:
             self.model.policy.set_training_mode(False)
 
@@ -95,6 +103,13 @@ class StableLearner(Learner):
     def start(self) -> None:
         self._callback.on_training_start({"self": self.model, "total_timesteps": self._total, "callback": self._callback}, {})
 
+    def be_taught(self, plan: Plan) -> None:
+        if not (self._by_fragments or self.confirms) or hasattr(self.model, "_last_lstm_states"):
+            super().be_taught(plan)
+        self._plan = plan
+        if self.confirms and isinstance(self._collector, LocalCollector):
+            self.model.lesson = plan.lesson, self._collector
+
     def actor(self) -> PolicyActor:
         if not algorithms.collects_as_usual(self.setup.training, self.model):
             raise UsageError(f"{self.setup.training.algorithm} collects experience in a way of its own, which shards do not support")
@@ -106,7 +121,7 @@ class StableLearner(Learner):
             if self.confirms:
                 shards = self._collector if isinstance(self._collector, ShardedCollector) else None
                 if shards is not None:
-                    model.recorded = shards.fetch(self._actor, model.train_freq.frequency)
+                    model.recorded = shards.fetch(self._actor, model.train_freq.frequency, lesson=self._plan.lesson)
                     memory = self._actor.memory()
                 self._rollout: RolloutReturn = model.collect_rollouts(
                     model.env,
@@ -124,10 +139,12 @@ class StableLearner(Learner):
                 return bool(model.collect_rollouts(model.env, self._callback, model.rollout_buffer, n_rollout_steps=model.n_steps))
             self._actor.begin()
             self._callback.on_rollout_start()
-            fragment = self._collector.collect(self._actor, model.n_steps, self._on_step, with_masks=self.takes_masks)
+            lesson = self._plan.lesson
+            fragment = self._collector.collect(self._actor, model.n_steps, self._on_step, with_masks=self.takes_masks, lesson=lesson)
             if fragment is None:
                 return False
             rollouts.fill(model, fragment)
+            self._taught = fragment.columns.get("taught")
         self._callback.on_rollout_end()
         return True
 
@@ -152,7 +169,8 @@ class StableLearner(Learner):
                 count = model.num_timesteps // (model.n_steps * model.n_envs)
                 if count % self._log_interval == 0:
                     model.dump_logs(count)
-                model.train()
+                with nullcontext() if self._taught is None else imitating(model, self._taught, self._plan):
+                    model.train()
             elif model.num_timesteps > model.learning_starts:
                 gradient_steps = model.gradient_steps if model.gradient_steps >= 0 else self._rollout.episode_timesteps
                 if gradient_steps > 0:
@@ -299,6 +317,20 @@ class _SavesPlainly:
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         models.save(path if path.suffix else path.with_suffix(".zip"), self)  # type: ignore[arg-type]  # of the algorithm
+
+
+class _IsTaught(_SavesPlainly):
+    """An off-policy algorithm with a teacher, which drives some of the worlds."""
+
+    lesson: tuple[Lesson | None, LocalCollector | None] = (None, None)
+
+    def _sample_action(self, *arguments: Any) -> tuple[Array, Array]:
+        actions, stored = super()._sample_action(*arguments)  # type: ignore[misc]  # of the algorithm
+        lesson, collector = self.lesson
+        if lesson is None or collector is None:
+            return actions, stored
+        decision = collector.taught(Decision(actions, {"stored": stored}), lesson)
+        return decision.actions, decision.columns["stored"]
 
 
 class _RepeatsActions(_SavesPlainly):

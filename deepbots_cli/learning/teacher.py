@@ -1,0 +1,121 @@
+"""A script as teacher: when the policy imitates it, and how much.
+
+At first the policy only imitates: the script drives some of the worlds, fewer and fewer, and says in every state what it would do (DAgger;
+S. Ross, G. Gordon, D. Bagnell, AISTATS 2011). The critic learns meanwhile. This ends when an evaluation shows that the policy is about as
+good as the script, or after a share of all timesteps. Then the algorithm learns as usual, with an imitation loss whose weight fades.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import BaseModel, Field
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.learning.episodes import Summary
+from deepbots_cli.program.task import Teacher
+from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.collector import Lesson
+
+ENOUGH = 0.95
+"""Share of the script's success rate at which imitation alone ends."""
+_FADE_SHARE = 0.3
+"""Share of all timesteps in which the weight of the imitation loss falls to 0."""
+_BESIDE = 0.25
+"""Share of the worlds in which the script drives beside an off-policy algorithm."""
+_DRIVES_SHARE = 0.5
+"""Share of the time of imitation in which the script drives some of the worlds."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a teacher does in the next fragment.
+
+    Attributes:
+        lesson: For the collector; None when the teacher is done.
+        weight: Of the imitation loss.
+        only: Whether the policy only imitates.
+    """
+
+    lesson: Lesson | None = None
+    weight: float = 0.0
+    only: bool = False
+
+
+class TeacherState(BaseModel, strict=True, allow_inf_nan=False):
+    """What a checkpoint keeps."""
+
+    imitated_until: Annotated[int, Field(ge=-1)]
+
+
+class Teaching:
+    """Follows a training with a teacher.
+
+    Args:
+        teacher: The teacher of the scenario.
+        total: Timesteps of the training.
+        worlds: Number of its worlds.
+        episode: The largest length of an episode in steps.
+        on_policy: Whether the algorithm learns from its own actions only.
+    """
+
+    def __init__(self, teacher: Teacher, total: int, worlds: int, episode: int, *, on_policy: bool) -> None:
+        self.teacher, self._total, self._worlds, self._episode, self._on_policy = teacher, total, worlds, episode, on_policy
+        self.score: Summary | None = None
+        """The score of the script from the starts of the evaluations."""
+        self._imitated_until = -1
+
+    def begin(self, episodes: Sequence[Episode], *, defines_success: bool) -> None:
+        """Take over the score of the script.
+
+        Raises:
+            UsageError: No episode of the script succeeds.
+        """
+        self.score = Summary.of_episodes(episodes)
+        if defines_success and self.score.success_rate == 0.0:
+            raise UsageError(
+                f"the teacher `{self.teacher.script}` succeeds in none of {len(episodes)} episodes"
+                f" (mean return {self.score.mean_return:.3g}); try it with: deepbots try SCENARIO --driver {self.teacher.script}"
+            )
+
+    def plan(self, steps: int) -> Plan:
+        """What to do in a fragment after `steps` timesteps."""
+        limit = self.teacher.share * self._total
+        if not self._on_policy:
+            return self._demonstrations(steps)
+        if self._imitated_until < 0 and steps >= limit:
+            self._imitated_until = steps
+        if self._imitated_until < 0:
+            driven = max(0.0, 1.0 - steps / max(1.0, _DRIVES_SHARE * limit))
+            return Plan(Lesson(self.teacher.script, round(driven * self._worlds)), 1.0, True)
+        weight = 1.0 - (steps - self._imitated_until) / (_FADE_SHARE * self._total)
+        return Plan(Lesson(self.teacher.script, 0), weight) if weight > 0.0 else Plan()
+
+    def _demonstrations(self, steps: int) -> Plan:
+        """For a replay buffer: the script drives all worlds at first, then a share of them until the policy is about as good."""
+        if self._imitated_until >= 0:
+            return Plan()
+        if steps < self.teacher.share * self._total:
+            return Plan(Lesson(self.teacher.script, self._worlds))
+        window, each = steps // (self._worlds * self._episode), _BESIDE * self._worlds
+        return Plan(Lesson(self.teacher.script, int((window + 1) * each) - int(window * each)))
+
+    def on_evaluation(self, found: Summary, steps: int, *, defines_success: bool) -> None:
+        """Called with the summary of each evaluation."""
+        if self._imitated_until >= 0 or self.score is None:
+            return
+        if defines_success:
+            enough = (found.success_rate or 0.0) >= ENOUGH * (self.score.success_rate or 0.0)
+        else:
+            wanted = self.score.mean_return
+            enough = found.mean_return >= wanted - (1.0 - ENOUGH) * abs(wanted)
+        if enough:
+            self._imitated_until = steps
+
+    def state(self) -> TeacherState:
+        return TeacherState(imitated_until=self._imitated_until)
+
+    def restore(self, state: TeacherState) -> None:
+        self._imitated_until = state.imitated_until
