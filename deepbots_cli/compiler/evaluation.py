@@ -114,7 +114,7 @@ def _teacher(namespace: Namespace, copies: RobotCopies | None) -> Teacher | None
     given, values = namespace.scenario.train.teacher, namespace.values
     if given is None:
         return None
-    spec = TeacherSpec(script=given) if isinstance(given, str) else given
+    spec = given if isinstance(given, TeacherSpec) else TeacherSpec(script=str(given))
     path = ("train", "teacher") if isinstance(given, str) else ("train", "teacher", "script")
     if spec.script not in namespace.scenario.scripts and not values.is_invalid("scripts"):
         near = nearest_word(spec.script, namespace.scenario.scripts)

@@ -230,7 +230,7 @@ class TrainingCallback:
         self.statistics = statistics
         self.curriculum = curriculum
         self.teaching: Teaching | None = None
-        self._is_driven = False
+        self._taught_stage = -1
         self.evaluator = evaluator
         self.reporter = reporter
         self.total = total
@@ -283,13 +283,16 @@ class TrainingCallback:
 
     def plan_lesson(self) -> Plan:
         """What the teacher does next. Episodes that it drives say nothing about the policy, so they do not solve the task."""
-        assert self.teaching is not None
-        plan = self.teaching.plan(self.statistics.steps)
-        drives = plan.lesson is not None and plan.lesson.worlds > 0
-        if self._is_driven and not drives:
+        teaching = self.teaching
+        assert teaching is not None
+        if self._taught_stage != self.curriculum.index:
+            self._taught_stage = self.curriculum.index
+            scenario = self.curriculum.scenario_of(self.curriculum.index)
+            self.reporter.note(teaching.begin(self.evaluator.play_script(teaching.teacher.script, scenario), scenario.defines_success))
+        drove, plan = teaching.drives, teaching.plan(self.statistics.steps)
+        if drove and not teaching.drives:
             self.statistics.recent.clear()
-        self._is_driven = drives
-        self.statistics.final = self.curriculum.is_last and not drives
+        self.statistics.final = self.curriculum.is_last and not teaching.drives
         return plan
 
     def begin_stage(self) -> None:

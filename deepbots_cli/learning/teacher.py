@@ -48,6 +48,7 @@ class TeacherState(BaseModel, strict=True, allow_inf_nan=False):
     """What a checkpoint keeps."""
 
     imitated_until: Annotated[int, Field(ge=-1)]
+    drives: bool
 
 
 class Teaching:
@@ -65,23 +66,31 @@ class Teaching:
         self.teacher, self._total, self._worlds, self._episode, self._on_policy = teacher, total, worlds, episode, on_policy
         self.score: Summary | None = None
         """The score of the script from the starts of the evaluations."""
+        self.drives = False
+        """Whether the script drives some of the worlds."""
         self._imitated_until = -1
 
-    def begin(self, episodes: Sequence[Episode], *, defines_success: bool) -> None:
-        """Take over the score of the script.
+    def begin(self, episodes: Sequence[Episode], defines_success: bool) -> str:
+        """Take over the score of the script; what it is, in a sentence.
 
         Raises:
             UsageError: No episode of the script succeeds.
         """
-        self.score = Summary.of_episodes(episodes)
-        if defines_success and self.score.success_rate == 0.0:
-            raise UsageError(
-                f"the teacher `{self.teacher.script}` succeeds in none of {len(episodes)} episodes"
-                f" (mean return {self.score.mean_return:.3g}); try it with: deepbots try SCENARIO --driver {self.teacher.script}"
-            )
+        self.score = found = Summary.of_episodes(episodes)
+        name, mean = self.teacher.script, f"mean return {found.mean_return:.3g}"
+        if defines_success and not found.success_rate:
+            reason = f"the teacher `{name}` succeeds in none of {len(episodes)} episodes ({mean})"
+            raise UsageError(f"{reason}; try it with: deepbots try SCENARIO --driver {name}")
+        success = f"success {found.success_rate:.0%}, " if defines_success else ""
+        return f"the teacher {name}: {success}{mean} in {len(episodes)} episodes"
 
     def plan(self, steps: int) -> Plan:
         """What to do in a fragment after `steps` timesteps."""
+        plan = self._plan(steps)
+        self.drives = plan.lesson is not None and plan.lesson.worlds > 0
+        return plan
+
+    def _plan(self, steps: int) -> Plan:
         limit = self.teacher.share * self._total
         if not self._on_policy:
             return self._demonstrations(steps)
@@ -115,7 +124,7 @@ class Teaching:
             self._imitated_until = steps
 
     def state(self) -> TeacherState:
-        return TeacherState(imitated_until=self._imitated_until)
+        return TeacherState(imitated_until=self._imitated_until, drives=self.drives)
 
     def restore(self, state: TeacherState) -> None:
-        self._imitated_until = state.imitated_until
+        self._imitated_until, self.drives = state.imitated_until, state.drives

@@ -384,7 +384,6 @@ def run_training(
             checkpoints.on_restored.append(lambda: log.open(training, is_new=checkpoints.state is None))
             if run.record.initialized_from is not None:
                 learner.initialize(run.model("initial"))
-            _introduce_teacher(callback, evaluator, reporter)
             stack.enter_context(signals_handled(callback.interruption))
             # TensorBoard's writer raises the error of a thread that cannot write a file again, at its next call: no traceback meanwhile.
             report_failure = threading.excepthook
@@ -504,19 +503,6 @@ def make_collector(
         note=reporter.note,
     )
     return LocalCollector(worlds)
-
-
-def _introduce_teacher(callback: TrainingCallback, evaluator: Evaluator, reporter: Reporter) -> None:
-    """Play the script that teaches, and say how good it is."""
-    if callback.teaching is None:
-        return
-    name = callback.teaching.teacher.script
-    episodes = evaluator.play_script(name, callback.curriculum.scenario_of(callback.curriculum.index))
-    callback.teaching.begin(episodes, defines_success=callback.defines_success)
-    score = callback.teaching.score
-    if score is not None:
-        success = f"success {score.success_rate:.0%}, " if callback.defines_success else ""
-        reporter.note(f"the teacher {name}: {success}mean return {score.mean_return:.3g} in {len(episodes)} episodes")
 
 
 def _timed(on_iteration: OnIteration, callback: TrainingCallback, collector: Collector) -> Callable[[float, float], None]:
