@@ -122,7 +122,7 @@ def _teacher(namespace: Namespace, copies: RobotCopies | None) -> Teacher | None
         values.add("DB201", path, f"there is no script `{spec.script}`", help)
     elif copies is not None:
         values.add("DB102", path, "a teacher cannot teach copies of a robot", "leave out `teacher`")
-    return Teacher(spec.script, spec.share)
+    return Teacher(spec.script, float(spec.share))
 
 
 def _action_noise(given: ActionNoiseSpec | None) -> ActionNoise | None:

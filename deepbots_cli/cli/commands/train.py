@@ -107,6 +107,9 @@ def command(
             parser=_shard_count,
         ),
     ] = None,
+    teacher: Annotated[
+        str | None, option("--teacher SCRIPT", "Let a script of the scenario teach the policy first; by default `train.teacher`.")
+    ] = None,
     workers: Workers = None,
     address: ClusterAddress = None,
     engine: Engine = None,
@@ -130,6 +133,7 @@ def command(
       deepbots train cartpole --timesteps 200k --full --run runs/long
       deepbots train find_ball_random --stage crowded
       deepbots train find_ball --view
+      deepbots train panda_push --teacher by_hand
       deepbots train pit_escape --shards 2 --workers 2
       deepbots train --resume runs/cartpole-0-1 --timesteps 200k
       deepbots train --resume runs/cartpole-seeds-1 --workers 2
@@ -157,7 +161,7 @@ def command(
     progress = not quiet
     if resume is not None:
         folders = permissions.folders or None
-        made_with = (scenario, overrides, seed, seeds, run, stage, engine, folders, keep_checkpoints, initialize_from, shards)
+        made_with = (scenario, overrides, seed, seeds, run, stage, engine, folders, keep_checkpoints, initialize_from, shards, teacher)
         if any(option is not None for option in made_with):
             raise UsageError(
                 "--resume continues with the scenario and options of the run;"
@@ -186,7 +190,7 @@ def command(
         raise UsageError(f"--run: {run} already exists; choose another directory, because runs are not overwritten")
     else:
         listed = None if seeds is None else seed_list(seeds)
-        undivided = with_engine(overrides, engine)
+        undivided = [*with_engine(overrides, engine), *([] if teacher is None else [f"train.teacher={teacher}"])]
         changed = undivided if shards in (None, "auto") else [*undivided, f"train.shards={shards}"]
         compiled = api.compile(scenario, overrides=changed, permissions=permissions)
         workers = _checked_workers(compiled.program, shards, listed, workers, address)

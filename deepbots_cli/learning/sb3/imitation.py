@@ -7,6 +7,7 @@ both.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -22,7 +23,9 @@ from deepbots_cli.rollout.worlds import Array
 @contextmanager
 def imitating(model: Any, taught: Array, plan: Plan) -> Iterator[None]:
     """Within, updates of an on-policy algorithm also imitate: `taught` are the actions of the teacher, of shape (steps, rows, ...)."""
-    buffer, policy, ent_coef, target_kl = model.rollout_buffer, model.policy, model.ent_coef, getattr(model, "target_kl", None)
+    buffer, policy = model.rollout_buffer, model.policy
+    own = {name: getattr(model, name) for name in ("ent_coef", "max_grad_norm", "target_kl") if hasattr(model, name)}
+    ent_coef = model.ent_coef
     shape = (-1, *taught.shape[2:])
     labels = torch.as_tensor(np.ascontiguousarray(taught.swapaxes(0, 1)).reshape(shape), device=model.device)
     samples, evaluate = buffer._get_samples, policy.evaluate_actions
@@ -46,14 +49,15 @@ def imitating(model: Any, taught: Array, plan: Plan) -> Iterator[None]:
     buffer._get_samples, policy.evaluate_actions, model.ent_coef = get_samples, evaluate_actions, 1.0
     if plan.only:
         buffer.advantages[...] = 0.0
-        model.target_kl = None
+        if "target_kl" in own:
+            model.target_kl = None
+        model.max_grad_norm = math.inf  # or the loss of the critic, which grows with the returns, would leave the actor little of the norm
     try:
         yield
     finally:
         del buffer._get_samples, policy.evaluate_actions
-        model.ent_coef = ent_coef
-        if hasattr(model, "target_kl"):
-            model.target_kl = target_kl
+        for name, value in own.items():
+            setattr(model, name, value)
     model.logger.record("train/entropy_loss", float(np.mean(entropies)))
     model.logger.record("teacher/loss", float(np.mean(losses)))
     model.logger.record("teacher/weight", plan.weight)

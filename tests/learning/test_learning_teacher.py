@@ -1,0 +1,101 @@
+"""A script teaches the policy: what it learns, and that it resumes and runs in shards to the bit."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_learning_resume import outcome
+from test_learning_shards import Forgetful
+
+from deepbots_cli import api
+from deepbots_cli.errors import UsageError
+from deepbots_cli.learning import evaluate, resume, train
+from deepbots_cli.learning.report import Reporter, TrainingProgress
+from deepbots_cli.learning.shards import THIS_PROCESS
+from deepbots_cli.learning.teacher import Teaching
+from deepbots_cli.program.task import Teacher
+from tests.few import few
+
+BALANCER = ["truncation.max_time=1s", "train.environments=4", "train.n_steps=32", "train.batch_size=64", "train.network.hidden=[16]"]
+CASES = {
+    "PPO": ("balancer", [*BALANCER, "train.teacher={script: lean, share: 0.5}"]),
+    "SAC": (
+        "balancer",
+        [
+            "truncation.max_time=1s",
+            "train={algorithm: SAC, total_timesteps: 1000, environments: 4, learning_starts: 200, network: {hidden: [16]}, teacher: lean}",
+        ],
+    ),
+}
+STEPS = 1024
+
+
+def trained(name: str, folder: Path, changes: list[str] | None = None, **options: Any) -> dict[str, Any]:
+    scenario, own = CASES[name]
+    train(api.compile(scenario, overrides=[*own, *(changes or [])]), run=folder, total_timesteps=STEPS, stop_when_solved=False, **options)
+    return outcome(folder)
+
+
+class InterruptedAt(Reporter):
+    def __init__(self, steps: int) -> None:
+        self._steps = steps
+
+    def update(self, progress: TrainingProgress) -> None:
+        if progress.steps >= self._steps:
+            self._steps = 10**9
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+@pytest.mark.parametrize("steps", few([200, 450, 700], ["450"]))
+@pytest.mark.parametrize("name", CASES)
+def test_an_interrupted_training_with_a_teacher_resumes_to_the_bit(tmp_path: Path, name: str, steps: int) -> None:
+    whole = trained(name, tmp_path / "whole")
+    trained(name, tmp_path / "parts", progress=InterruptedAt(steps))
+    resumed = resume(tmp_path / "parts")
+    assert (resumed.steps, resumed.inexact) == (STEPS, ())
+    found = outcome(tmp_path / "parts")
+    for part in whole:
+        assert found[part] == whole[part], part
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_shards_that_are_lost_with_every_fragment_are_taught_the_same(tmp_path: Path, name: str) -> None:
+    two = ["train.shards=2"]
+    kept = trained(name, tmp_path / "kept", two, placement=THIS_PROCESS)
+    assert trained(name, tmp_path / "lost", two, placement=Forgetful()) == kept
+
+
+def test_a_policy_imitates_its_teacher(tmp_path: Path) -> None:
+    found = {}
+    for name, share in (("taught", 1.0), ("alone", 0.0)):
+        changes = ["train.n_epochs=20", f"train.teacher={{script: lean, share: {share}}}"]
+        compiled = api.compile("balancer", overrides=[*BALANCER, "truncation.max_time=4s", *changes])
+        result = train(compiled, run=tmp_path / name, total_timesteps=4_000, stop_when_solved=False)
+        found[name] = evaluate(result.run, model="last", episodes=10).mean_length
+    assert found["taught"] > 300
+    assert found["alone"] < 200
+
+
+def test_a_teacher_that_never_succeeds_is_refused(tmp_path: Path) -> None:
+    compiled = api.compile("pit_escape", overrides=["train.teacher=forward_only", "truncation.max_time=2s"])
+    with pytest.raises(UsageError, match="the teacher `forward_only` succeeds in none of 20 episodes"):
+        train(compiled, run=tmp_path / "run", total_timesteps=1000)
+
+
+def test_a_script_drives_less_and_less_and_then_its_weight_fades() -> None:
+    teaching = Teaching(Teacher("by_hand", 0.4), 1000, 8, 10, on_policy=True)
+    plans = [teaching.plan(steps) for steps in (0, 100, 199, 399, 400, 550, 700)]
+    assert [plan.lesson.worlds if plan.lesson else None for plan in plans] == [8, 4, 0, 0, 0, 0, None]
+    assert [plan.only for plan in plans] == [True, True, True, True, False, False, False]
+    assert [round(plan.weight, 2) for plan in plans] == [1, 1, 1, 1, 1, 0.5, 0]
+
+
+def test_beside_a_replay_buffer_the_script_drives_a_share_of_the_worlds() -> None:
+    teaching = Teaching(Teacher("by_hand", 0.2), 1000, 2, 10, on_policy=False)
+    driven = [plan.lesson.worlds for plan in map(teaching.plan, range(0, 1000, 20)) if plan.lesson]
+    assert driven[:10] == [2] * 10
+    assert sum(driven[10:]) / len(driven[10:]) == pytest.approx(0.25 * 2, abs=0.05)
