@@ -5,6 +5,7 @@ algorithms.py    algorithms made for a scenario, action noise
 defaults.py      the hyperparameters that a training takes: the scenario's, our defaults, the library's
 environment.py   the worlds of a collector as a vector environment
 rollouts.py      the actor of on-policy algorithms, and rollout buffers filled from fragments
+imitation.py     the imitation loss of on-policy algorithms with a teacher
 models.py        models as zip files of the library, read without unpickling
 state.py         what a checkpoint keeps beside the model
 networks.py      the layers of a policy, and the values of its critic
