@@ -356,7 +356,8 @@ class TrainingCallback:
         summary = Summary.of_episodes(done)
         self._evaluated_at = steps
         if self.teaching is not None:
-            self.teaching.on_evaluation(summary, steps, defines_success=self.defines_success)
+            is_solved = summary.meets_solved(solved)
+            self.teaching.on_evaluation(summary, steps, defines_success=self.defines_success, is_solved=is_solved)
         self.confirmed = ends and summary.meets_solved(solved)
         rank = ModelRank(self.confirmed, summary.meets_solved(solved), summary.mean_return)
         if self.best is None or rank >= self.best:  # of equals the later one, which has seen more

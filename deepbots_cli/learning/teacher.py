@@ -67,7 +67,7 @@ class Teaching:
         self.score: Summary | None = None
         """The score of the script from the starts of the evaluations."""
         self.drives = False
-        """Whether the script drives some of the worlds."""
+        """Whether the script drives some of the worlds, now or later."""
         self._imitated_until = -1
 
     def begin(self, episodes: Sequence[Episode], defines_success: bool) -> str:
@@ -87,7 +87,7 @@ class Teaching:
     def plan(self, steps: int) -> Plan:
         """What to do in a fragment after `steps` timesteps."""
         plan = self._plan(steps)
-        self.drives = plan.lesson is not None and plan.lesson.worlds > 0
+        self.drives = self._imitated_until < 0 if not self._on_policy else plan.lesson is not None and plan.lesson.worlds > 0
         return plan
 
     def _plan(self, steps: int) -> Plan:
@@ -111,8 +111,8 @@ class Teaching:
         window, each = steps // (self._worlds * self._episode), _BESIDE * self._worlds
         return Plan(Lesson(self.teacher.script, int((window + 1) * each) - int(window * each)))
 
-    def on_evaluation(self, found: Summary, steps: int, *, defines_success: bool) -> None:
-        """Called with the summary of each evaluation."""
+    def on_evaluation(self, found: Summary, steps: int, *, defines_success: bool, is_solved: bool) -> None:
+        """Called with the summary of each evaluation, and whether it meets what `solved` requires."""
         if self._imitated_until >= 0 or self.score is None:
             return
         if defines_success:
@@ -120,7 +120,7 @@ class Teaching:
         else:
             wanted = self.score.mean_return
             enough = found.mean_return >= wanted - (1.0 - ENOUGH) * abs(wanted)
-        if enough:
+        if enough or is_solved:
             self._imitated_until = steps
 
     def state(self) -> TeacherState:
