@@ -80,18 +80,17 @@ class Training(Section):
     total_timesteps: Annotated[int, WholeNumber(1, 10**12)]
     """Number of steps to train for, summed over all environments."""
     environments: Annotated[int, WholeNumber(1, 1024)] = 1
-    """Number of copies of the environment that run at the same time."""
+    """Number of environments that run at the same time."""
     shards: Annotated[int, WholeNumber(1, MAX_SHARDS)] = 1
-    """Number of groups into which the environments are divided, each with a copy of the policy."""
+    """Number of groups of environments, each with a copy of the policy."""
     network: Annotated[PolicyNetwork, InsteadOf("policy")] = Field(default_factory=PolicyNetwork)
     """The network of the policy."""
     normalize: Literal["reward"] | None = None
     """`reward` divides rewards by a running standard deviation of the return, for learning only; logs show the original rewards."""
     teacher: Annotated[Teacher | PlainText, FORMS] | None = None
-    """A script from which the policy learns first: its name, or a mapping."""
+    """A script that teaches the policy."""
     device: Literal["auto", "cpu", "cuda"] = "cpu"
-    """Device of the networks during training. `auto` is `cuda` (a GPU) if there is one, otherwise `cpu`. Small networks train faster on the
-    CPU."""
+    """Device of the networks. `auto` is `cuda` (a GPU) if there is one, otherwise `cpu`. Small networks train faster on the CPU."""
 
     @classmethod
     def hyperparameter_names(cls) -> tuple[str, ...]:
@@ -135,7 +134,7 @@ class _OnPolicy(Training):
     max_grad_norm: Positive | None = None
     """Largest norm of a gradient; larger gradients are scaled down."""
     stats_window_size: PositiveInt | None = None
-    """Number of episodes over which Stable-Baselines3 averages its episode statistics."""
+    """Episodes in the moving averages that Stable-Baselines3 logs."""
 
 
 class _Proximal(_OnPolicy):
@@ -200,7 +199,7 @@ class _SoftActorCritic(_StateDependentExploration, _Deterministic):
     target_entropy: Annotated[Scalar, Number(pattern="auto")] | None = None
     """The entropy that `ent_coef: auto` aims at. `target_entropy: auto` is minus the number of action components."""
     stats_window_size: PositiveInt | None = None
-    """Number of episodes over which Stable-Baselines3 averages its episode statistics."""
+    """Episodes in the moving averages that Stable-Baselines3 logs."""
 
 
 class PPO(_StateDependentExploration, _Proximal):
@@ -241,7 +240,7 @@ class DQN(_OffPolicy):
     max_grad_norm: Positive | None = None
     """Largest norm of a gradient; larger gradients are scaled down."""
     stats_window_size: PositiveInt | None = None
-    """Number of episodes over which Stable-Baselines3 averages its episode statistics."""
+    """Episodes in the moving averages that Stable-Baselines3 logs."""
 
 
 class SAC(_SoftActorCritic):
@@ -265,7 +264,7 @@ class TD3(_Deterministic):
     target_noise_clip: Weight | None = None
     """Largest absolute value of the noise of `target_policy_noise`."""
     stats_window_size: PositiveInt | None = None
-    """Number of episodes over which Stable-Baselines3 averages its episode statistics."""
+    """Episodes in the moving averages that Stable-Baselines3 logs."""
 
 
 class DDPG(_Deterministic):

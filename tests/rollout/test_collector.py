@@ -16,7 +16,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import learner
 from deepbots_cli.learning.learner import Setup
 from deepbots_cli.program.task import Hyperparameter, Training
-from deepbots_cli.rollout.collector import Actor, Decision, Fragment, LocalCollector, OnStep, ShardState, join
+from deepbots_cli.rollout.collector import Actor, Decision, Fragment, Lesson, LocalCollector, OnStep, ShardState, join
 from deepbots_cli.rollout.worlds import BatchWorlds, Worlds
 from deepbots_cli.runtime.batch import EpisodeHistory
 
@@ -106,8 +106,10 @@ class Shards:
         self.shards, self.rows = shards, sum(shard.rows for shard in shards)
         self.observation_space, self.action_space = shards[0].observation_space, shards[0].action_space
 
-    def collect(self, actor: Actor, steps: int, on_step: OnStep, *, with_masks: bool = False) -> Fragment | None:
-        found = [shard.collect(actor, steps, on_step, with_masks=with_masks) for shard in self.shards]
+    def collect(
+        self, actor: Actor, steps: int, on_step: OnStep, *, with_masks: bool = False, lesson: Lesson | None = None
+    ) -> Fragment | None:
+        found = [shard.collect(actor, steps, on_step, with_masks=with_masks, lesson=lesson) for shard in self.shards]
         return join([fragment for fragment in found if fragment is not None])
 
     def state(self) -> ShardState:
