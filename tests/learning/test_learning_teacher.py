@@ -71,13 +71,12 @@ def test_shards_that_are_lost_with_every_fragment_are_taught_the_same(tmp_path: 
 
 def test_a_policy_imitates_its_teacher(tmp_path: Path) -> None:
     found = {}
-    for name, share in (("taught", 1.0), ("alone", 0.0)):
-        changes = ["train.n_epochs=20", f"train.teacher={{script: lean, share: {share}}}"]
+    for name, changes in (("taught", ["train.teacher=lean"]), ("alone", [])):
         compiled = api.compile("balancer", overrides=[*BALANCER, "truncation.max_time=4s", *changes])
         result = train(compiled, run=tmp_path / name, total_timesteps=4_000, stop_when_solved=False)
         found[name] = evaluate(result.run, model="last", episodes=10).mean_length
     assert found["taught"] > 300
-    assert found["alone"] < 200
+    assert found["alone"] < 150
 
 
 def test_a_teacher_that_never_succeeds_is_refused(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from inspect import signature
 from pathlib import Path
 from typing import Any, get_args
@@ -29,7 +29,7 @@ from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointS
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
 from deepbots_cli.learning.sb3 import algorithms, models, networks, rollouts, state
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment, as_returned, spaces_only
-from deepbots_cli.learning.sb3.imitation import imitating
+from deepbots_cli.learning.sb3.imitation import Lessons, imitating, only_imitating
 from deepbots_cli.learning.sb3.logs import encoded, number_of
 from deepbots_cli.learning.teacher import Plan
 from deepbots_cli.program.task import Training
@@ -78,6 +78,8 @@ class StableLearner(Learner):
         self._followers: Sequence[BaseCallback] = ()
         self._plan = Plan()
         self._taught: Array | None = None
+        teaches = setup.training.teacher is not None and self._by_fragments and collector is not None
+        self._lessons = Lessons(self.model) if teaches else None
         if collector is None:
             self.model.policy.set_training_mode(False)
 
@@ -107,6 +109,9 @@ class StableLearner(Learner):
         if not (self._by_fragments or self.confirms) or hasattr(self.model, "_last_lstm_states"):
             super().be_taught(plan)
         self._plan = plan
+        if not plan.only and self._lessons is not None:
+            self._lessons = None
+            self._replay.forget()
         if self.confirms and isinstance(self._collector, LocalCollector):
             self.model.lesson = plan.lesson, self._collector
 
@@ -169,12 +174,20 @@ class StableLearner(Learner):
                 count = model.num_timesteps // (model.n_steps * model.n_envs)
                 if count % self._log_interval == 0:
                     model.dump_logs(count)
-                with nullcontext() if self._taught is None else imitating(model, self._taught, self._plan):
+                with self._imitation():
                     model.train()
             elif model.num_timesteps > model.learning_starts:
                 gradient_steps = model.gradient_steps if model.gradient_steps >= 0 else self._rollout.episode_timesteps
                 if gradient_steps > 0:
                     model.train(batch_size=model.batch_size, gradient_steps=gradient_steps)
+
+    def _imitation(self) -> AbstractContextManager[None]:
+        """What a teacher adds to an update."""
+        if self._taught is None:
+            return nullcontext()
+        if self._lessons is not None:
+            return only_imitating(self.model, self._lessons, self._taught)
+        return imitating(self.model, self._taught, self._plan.weight)
 
     def end(self) -> None:
         self._callback.on_training_end()
@@ -227,10 +240,9 @@ class StableLearner(Learner):
         self._replay = state.ReplayFiles(folder / "replay")
 
     def state(self) -> dict[str, Any]:
-        buffer = getattr(self.model, "replay_buffer", None)
+        model, buffer = self.model, self._buffer
         if buffer is not None:
-            self._replay.append(buffer, self.steps // self.model.n_envs)
-        model = self.model
+            self._replay.append(buffer, self.steps // model.n_envs)
         return {
             "counts": {name: getattr(model, name) for name in get_args(state.CounterName) if hasattr(model, name)},
             "infos": [state.EpisodeInfo(r=encoded(info["r"]), l=encoded(info["l"])) for info in model.ep_info_buffer or ()],
@@ -250,7 +262,7 @@ class StableLearner(Learner):
         if (normalizer := model.get_vec_normalize_env()) is not None:
             statistics = normalizer.ret_rms
             arrays |= {"returns": normalizer.returns, "return_statistics": np.array([statistics.mean, statistics.var, statistics.count])}
-        if isinstance(buffer := getattr(model, "replay_buffer", None), HerReplayBuffer):
+        if isinstance(buffer := self._buffer, HerReplayBuffer):
             arrays["episode_starts"] = buffer._current_ep_start
         return arrays
 
@@ -281,9 +293,16 @@ class StableLearner(Learner):
             normalizer.ret_rms.mean, normalizer.ret_rms.var, normalizer.ret_rms.count = mean, var, float(count)
             normalizer.returns = arrays["returns"]
         model.action_space.np_random.bit_generator.state = kept.action_space.model_dump()
-        if (buffer := getattr(model, "replay_buffer", None)) is not None:
+        if self._lessons is not None and self.steps and not kept.segments:  # they are over
+            self._lessons = None
+        if self._buffer is not None:
             starts = arrays.get("episode_starts") if same else None
-            self._replay.refill(buffer, kept, self.steps // model.n_envs, starts, model.action_space)
+            self._replay.refill(self._buffer, kept, self.steps // model.n_envs, starts, model.action_space)
+
+    @property
+    def _buffer(self) -> Any:
+        """What is kept of earlier fragments: a replay buffer, lessons, or nothing (None)."""
+        return self._lessons if self._lessons is not None else getattr(self.model, "replay_buffer", None)
 
     @property
     def _noises(self) -> list[algorithms.DecayingNoise]:

@@ -92,6 +92,10 @@ class ReplayFiles:
         write_arrays(path, {name: column[rows] for name, column in _columns(buffer).items()})
         flush_to_disk(path)
 
+    def forget(self) -> None:
+        """Forget all rows; the files go with the checkpoints that have them."""
+        self.segments = []
+
     def _rows(self, buffer: ReplayBuffer, first: int, last: int) -> Array:
         """The rows of the ring for the steps from `first` to before `last`."""
         return (np.arange(first, last) - self.offset) % buffer.buffer_size
