@@ -53,8 +53,9 @@ loses at most one in 18 % of the cases; of 50, at most two in 1 %. With the smal
 MAX_CHECK_INTERVAL = 2_000
 """Steps after which the callback looks at evaluations, scalars and the progress display; in a short training it does so earlier."""
 
-EVALUATION_SHARE, FINAL_EVALUATION_SHARE, UNLIMITED_SHARE = 0.1, 0.5, math.inf
-"""What evaluations may take of the steps that are trained: little as a rule, half when only one is missing to end the training."""
+EVALUATION_SHARE, LESSON_EVALUATION_SHARE, FINAL_EVALUATION_SHARE, UNLIMITED_SHARE = 0.1, 0.25, 0.5, math.inf
+"""What evaluations may take of the steps that are trained: little as a rule, a quarter where one may end the lessons of a
+teacher, half when only one is missing to end the training."""
 
 
 class Interruption:
@@ -321,7 +322,8 @@ class TrainingCallback:
             self._solved_seen = solved
             self._next_check = self.statistics.steps + self._check_interval
             self._report()
-            self.evaluate(UNLIMITED_SHARE if just_solved else FINAL_EVALUATION_SHARE if solved else EVALUATION_SHARE)
+            usual = LESSON_EVALUATION_SHARE if self.teaching is not None and self.teaching.imitates else EVALUATION_SHARE
+            self.evaluate(UNLIMITED_SHARE if just_solved else FINAL_EVALUATION_SHARE if solved else usual)
             self._record_scalars()
             self._check_passed = True
         elif time.monotonic() - self._reported >= LINE_INTERVAL_S:  # in a slow world

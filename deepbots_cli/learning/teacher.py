@@ -70,6 +70,11 @@ class Teaching:
         """Whether the script drives some of the worlds, now or later."""
         self._imitated_until = -1
 
+    @property
+    def imitates(self) -> bool:
+        """Whether no evaluation, and no limit, has ended the lessons."""
+        return self._imitated_until < 0
+
     def begin(self, episodes: Sequence[Episode], defines_success: bool) -> str:
         """Take over the score of the script; what it is, in a sentence.
 
@@ -87,7 +92,7 @@ class Teaching:
     def plan(self, steps: int) -> Plan:
         """What to do in a fragment after `steps` timesteps."""
         plan = self._plan(steps)
-        self.drives = self._imitated_until < 0 if not self._on_policy else plan.lesson is not None and plan.lesson.worlds > 0
+        self.drives = self.imitates if not self._on_policy else plan.lesson is not None and plan.lesson.worlds > 0
         return plan
 
     def _plan(self, steps: int) -> Plan:
