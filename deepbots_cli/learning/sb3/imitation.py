@@ -27,7 +27,7 @@ _STEPS_PER_ROW = 0.5
 """Gradient steps for each new state. On PandaPush with PPO, 0.5 gives 74 % success after 18,000 states."""
 _LEARNING_RATE = 1e-3
 _MAX_STD = 0.3
-"""Largest standard deviation of the actions of a policy that imitates: with 1, where algorithms begin, it would leave its teacher at once."""
+"""Largest standard deviation of actions while a policy imitates: with 1, where algorithms begin, it would leave its teacher at once."""
 _AGREES = 0.2
 """Largest difference of each range in [-1, 1] at which a policy agrees with its teacher."""
 _BETA = 0.2
@@ -35,7 +35,7 @@ _BETA = 0.2
 
 
 class Lessons:
-    """States and the actions of the teacher in them; of many, the last ones. Its arrays are those of a replay buffer, of shape (steps, rows, ...).
+    """The last states, and the actions of the teacher in them. Its arrays are those of a replay buffer, of shape (steps, rows, ...).
 
     Args:
         model: The algorithm, whose rollout buffer has the shapes.
