@@ -55,6 +55,7 @@ _SCALAR_READERS = {
     "contact": "engine.contact({0}, ({1},))",
     "collided": "engine.contact({0}, ground=False)",
     "path_distance": "self.ways.distance({0}, {1})",
+    "path_bearing": "self.ways.bearing({0}, {1})",
     "reachable": "self.ways.reachable({0}, {1})",
     "visible": "self.robot_{robot}.sees({sensor}, {body})",
 }
@@ -156,7 +157,7 @@ class Readers:
     @property
     def needs_paths(self) -> bool:
         """Whether the class needs paths around obstacles."""
-        return any(key.kind in ("path_distance", "reachable") for key in self._bound)
+        return any(key.kind in ("path_distance", "path_bearing", "reachable") for key in self._bound)
 
     def _sorted(self, keys: ReaderKeys) -> list[ReaderKey]:
         return sorted(keys, key=lambda key: _READER_ORDER.index("contact" if key.kind == "contacts" else key.kind))

@@ -158,7 +158,7 @@ def _is_measurement(analysis: Analysis, node: Scalar, known: dict[int, bool]) ->
 
 # Angles that jump
 
-_WRAPPING_FUNCTIONS = frozenset({"yaw", "bearing", "atan2", "wrap"})
+_WRAPPING_FUNCTIONS = frozenset({"yaw", "bearing", "path_bearing", "atan2", "wrap"})
 """Functions that go from 180 deg to -180 deg within a step."""
 _PERIODIC_FUNCTIONS = frozenset({"wrap", "sin", "cos", "tan"})
 """Functions for which a full turn makes no difference."""

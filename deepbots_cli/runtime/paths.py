@@ -14,7 +14,7 @@ scenarios; importing it takes another 0.2 s of CPU.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from math import atan, cos, floor, hypot, sqrt
+from math import atan, atan2, cos, floor, hypot, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -69,6 +69,10 @@ class Ways:
     def distance(self, one: Part, other: Part) -> Callable[[], float]:
         """A reader of the length of the shortest path, m."""
         return self._way(one, other).length
+
+    def bearing(self, one: Part, other: Part) -> Callable[[], float]:
+        """A reader of the angle from the forward axis to where the shortest path leads, rad; left is positive."""
+        return self._way(one, other).bearing
 
     def reachable(self, one: Part, other: Part) -> Callable[[], bool]:
         """A reader of whether there is a path."""
@@ -135,6 +139,12 @@ class _PathQuery:
         x, y, _ = self._here()[0]
         return self._current().length(x, y)
 
+    def bearing(self) -> float:
+        (x, y, _), turn = self._here()
+        ahead_x, ahead_y = self._current().ahead(x, y)
+        angle = atan2(ahead_y - y, ahead_x - x) - roll_pitch_yaw(turn)[2]
+        return pi - (pi - angle) % (2.0 * pi)
+
     def is_open(self) -> bool:
         x, y, _ = self._here()[0]
         return self._current().reaches(x, y)
@@ -192,7 +202,7 @@ class DistanceField:
         blocked = self._outside.copy()
         for patch in solids:
             self._block(blocked, patch, radius)
-        self._goal = goal
+        self._goal, self._radius = goal, radius
         away = np.hypot(self._x - goal[0], (self._y - goal[1])[:, None])
         self._unit = max(1.0, self.cell * MAX_CELLS / _WIDE_AREA_M)
         self._step = self.cell / self._unit
@@ -250,12 +260,28 @@ class DistanceField:
             return length * self._unit
         return length * self._unit + self.cell * hypot(column - inside_column, row - inside_row)
 
-    def path(self, x: float, y: float) -> list[Spot]:
-        """A place, the nodes of a shortest way from it, and the goal, m; the place alone if no way begins there."""
+    def ahead(self, x: float, y: float) -> Spot:
+        """The first place on the way that is farther away than the radius of the disc and a cell, or the goal.
+
+        Where no way begins, such as beside an obstacle that the disc touches, the way is that of the nearest node with one.
+        """
+        limit = self._radius + self.cell
+        points = self.path(x, y, limit)
+        if len(points) == 1 and self._reached.any():
+            away = np.where(self._reached, np.hypot(self._x - x, (self._y - y)[:, None]), np.inf)
+            row, column = divmod(int(away.argmin()), away.shape[1])
+            points = self.path(float(self._x[column]), float(self._y[row]), limit)
+        return points[-1] if len(points) > 1 else self._goal
+
+    def path(self, x: float, y: float, limit: float = float("inf")) -> list[Spot]:
+        """A place, the nodes of a shortest way from it, and the goal, m; the place alone if no way begins there.
+
+        The way ends with the first node that is farther from the place than `limit`.
+        """
         points = [(x, y)]
         column = min(max(round((x - self._left) / self.cell), 0), self._columns - 1) + MARGIN_CELLS
         row = min(max(round((y - self._low) / self.cell), 0), self._rows - 1) + MARGIN_CELLS
-        while self._reached[row, column]:
+        while self._reached[row, column] and hypot(points[-1][0] - x, points[-1][1] - y) <= limit:
             points.append((float(self._x[column]), float(self._y[row])))
             # The length of a node is that of the next node and of the move there.
             here = self._found[row, column]

@@ -120,6 +120,19 @@ def test_a_goal_that_is_shut_in_is_as_far_as_the_crow_flies() -> None:
     assert field.length(0.3, 0.4) == pytest.approx(0.5, abs=0.01)
 
 
+def test_what_is_ahead_on_a_way_leads_around_the_obstacle() -> None:
+    wall = [box(0.0, 0.0, 0.02, 0.6)]
+    field = DistanceField(ARENA, RADIUS, wall, (0.4, 0.0), 0.05)
+    x, y, walked = -0.4, 0.01, 0.0
+    while math.hypot(0.4 - x, y) > 0.06 and walked < 3.0:
+        ahead = field.ahead(x, y)
+        away = math.hypot(ahead[0] - x, ahead[1] - y)
+        x, y, walked = x + 0.01 * (ahead[0] - x) / away, y + 0.01 * (ahead[1] - y) / away, walked + 0.01
+        assert abs(x) > 0.01 + RADIUS - 2 * field.cell or abs(y) > 0.3 + RADIUS - 2 * field.cell
+    assert walked + 0.06 == pytest.approx(field.length(-0.4, 0.01), rel=0.03)
+    assert field.ahead(-0.03, 0.0)[0] < -0.03  # from a place at the wall, back to where a way begins
+
+
 WORLD = """\
 deepbots: 1
 name: Way
