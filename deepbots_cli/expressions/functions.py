@@ -416,7 +416,7 @@ _ENTRIES = (
     Function("path_distance", _OF_WORLD, (_BODY, _OTHER), "The length of the shortest path around solid objects.",
              "path_distance(rover, ball)", _LENGTH, _known(iv.POSITIVE)),
     Function("path_bearing", _OF_WORLD, (_BODY, _OTHER),
-             "The horizontal angle from the forward axis of a body to where the shortest path around solid objects leads; left is positive.",
+             "The horizontal angle from the forward axis of a body to where the shortest path leads; left is positive.",
              "path_bearing(rover, ball)", _ANGLE, _known(iv.TURN)),
     Function("reachable", _OF_WORLD, (_BODY, _OTHER), "Whether there is a path around solid objects.", "reachable(rover, ball)",
              _NUMBER, boolean=True),

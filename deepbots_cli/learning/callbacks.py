@@ -231,7 +231,6 @@ class TrainingCallback:
         self.statistics = statistics
         self.curriculum = curriculum
         self.teaching: Teaching | None = None
-        self._taught_stage = -1
         self.evaluator = evaluator
         self.reporter = reporter
         self.total = total
@@ -286,15 +285,20 @@ class TrainingCallback:
         """What the teacher does next. Episodes that it drives say nothing about the policy, so they do not solve the task."""
         teaching = self.teaching
         assert teaching is not None
-        if self._taught_stage != self.curriculum.index:
-            self._taught_stage = self.curriculum.index
-            scenario = self.curriculum.scenario_of(self.curriculum.index)
-            self.reporter.note(teaching.begin(self.evaluator.play_script(teaching.teacher.script, scenario), scenario.defines_success))
+        if not teaching.knows(stage := self.curriculum.index):
+            scenario = self.curriculum.scenario_of(stage)
+            played = self.evaluator.play_script(teaching.teacher.script, scenario)
+            self.reporter.note(teaching.begin(stage, played, scenario.defines_success))
         drove, plan = teaching.drives, teaching.plan(self.statistics.steps)
         if drove and not teaching.drives:
             self.statistics.recent.clear()
         self.statistics.final = self.curriculum.is_last and not teaching.drives
         return plan
+
+    @property
+    def is_taught(self) -> bool:
+        """Whether a teacher may drive, so that episodes say nothing about the policy."""
+        return self.teaching is not None and self.teaching.drives
 
     def begin_stage(self) -> None:
         """Returns of one stage say nothing in another: the best is sought anew."""

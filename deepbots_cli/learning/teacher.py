@@ -47,6 +47,7 @@ class Plan:
 class TeacherState(BaseModel, strict=True, allow_inf_nan=False):
     """What a checkpoint keeps."""
 
+    stage: Annotated[int, Field(ge=0)]
     imitated_until: Annotated[int, Field(ge=-1)]
     drives: bool
 
@@ -68,15 +69,19 @@ class Teaching:
         """The score of the script from the starts of the evaluations."""
         self.drives = False
         """Whether the script drives some of the worlds, now or later."""
-        self._imitated_until = -1
+        self._stage, self._imitated_until = 0, -1
 
     @property
     def imitates(self) -> bool:
         """Whether no evaluation, and no limit, has ended the lessons."""
         return self._imitated_until < 0
 
-    def begin(self, episodes: Sequence[Episode], defines_success: bool) -> str:
-        """Take over the score of the script; what it is, in a sentence.
+    def knows(self, stage: int) -> bool:
+        """Whether the score of the script in a stage of the curriculum is known."""
+        return self.score is not None and self._stage == stage
+
+    def begin(self, stage: int, episodes: Sequence[Episode], defines_success: bool) -> str:
+        """Take over the episodes of the script in a stage of the curriculum; its score in a sentence. A new stage begins with lessons.
 
         Raises:
             UsageError: No episode of the script succeeds.
@@ -86,6 +91,8 @@ class Teaching:
         if defines_success and not found.success_rate:
             reason = f"the teacher `{name}` succeeds in none of {len(episodes)} episodes ({mean})"
             raise UsageError(f"{reason}; try it with: deepbots try SCENARIO --driver {name}")
+        if stage != self._stage:
+            self._stage, self._imitated_until = stage, -1
         success = f"success {found.success_rate:.0%}, " if defines_success else ""
         return f"the teacher {name}: {success}{mean} in {len(episodes)} episodes"
 
@@ -129,7 +136,7 @@ class Teaching:
             self._imitated_until = steps
 
     def state(self) -> TeacherState:
-        return TeacherState(imitated_until=self._imitated_until, drives=self.drives)
+        return TeacherState(stage=self._stage, imitated_until=self._imitated_until, drives=self.drives)
 
     def restore(self, state: TeacherState) -> None:
-        self._imitated_until, self.drives = state.imitated_until, state.drives
+        self._stage, self._imitated_until, self.drives = state.stage, state.imitated_until, state.drives

@@ -464,7 +464,7 @@ class TrainingCounter:
         is_present = stage == curriculum.index
         statistics.add(episode, present=is_present)
         self._log.write(episode, statistics, curriculum.name_of(stage), drawn)
-        if is_present and curriculum.add(episode, statistics.steps, statistics.episodes):
+        if is_present and not self._callback.is_taught and curriculum.add(episode, statistics.steps, statistics.episodes):
             self._callback.begin_stage()
 
     def on_answer(self, answer: Answer) -> None:

@@ -23,6 +23,14 @@ from tests.few import few
 BALANCER = ["truncation.max_time=1s", "train.environments=4", "train.n_steps=32", "train.batch_size=64", "train.network.hidden=[16]"]
 CASES = {
     "PPO": ("balancer", [*BALANCER, "train.teacher={script: lean, share: 0.5}"]),
+    "PPO in stages": (
+        "balancer",
+        [
+            *BALANCER,
+            "train.teacher={script: lean, share: 0.7}",
+            "curriculum=[{name: low, set: {limit: 20 deg}, until: 'mean_return >= 1 over 4 episodes'}, {name: usual}]",
+        ],
+    ),
     "SAC": (
         "balancer",
         [

@@ -78,8 +78,7 @@ class StableLearner(Learner):
         self._followers: Sequence[BaseCallback] = ()
         self._plan = Plan()
         self._taught: Array | None = None
-        teaches = setup.training.teacher is not None and self._by_fragments and collector is not None
-        self._lessons = Lessons(self.model) if teaches else None
+        self._lessons: Lessons | None = None
         if collector is None:
             self.model.policy.set_training_mode(False)
 
@@ -109,9 +108,9 @@ class StableLearner(Learner):
         if not (self._by_fragments or self.confirms) or hasattr(self.model, "_last_lstm_states"):
             super().be_taught(plan)
         self._plan = plan
-        if not plan.only and self._lessons is not None:
-            self._lessons = None
-            self._replay.forget()
+        if plan.only != (self._lessons is not None):
+            self._lessons = Lessons(self.model) if plan.only else None
+            self._replay.forget(self.steps // self.model.n_envs)
         if self.confirms and isinstance(self._collector, LocalCollector):
             self.model.lesson = plan.lesson, self._collector
 
@@ -293,8 +292,8 @@ class StableLearner(Learner):
             normalizer.ret_rms.mean, normalizer.ret_rms.var, normalizer.ret_rms.count = mean, var, float(count)
             normalizer.returns = arrays["returns"]
         model.action_space.np_random.bit_generator.state = kept.action_space.model_dump()
-        if self._lessons is not None and self.steps and not kept.segments:  # they are over
-            self._lessons = None
+        if self._by_fragments and self.setup.training.teacher is not None and kept.replay[0]:
+            self._lessons = Lessons(model)
         if self._buffer is not None:
             starts = arrays.get("episode_starts") if same else None
             self._replay.refill(self._buffer, kept, self.steps // model.n_envs, starts, model.action_space)

@@ -81,7 +81,7 @@ class ReplayFiles:
 
     def append(self, buffer: ReplayBuffer, added: int) -> None:
         """Write the rows that are new; forget the segments of which nothing is left in the buffer."""
-        first = max(self.segments[-1][1] if self.segments else 0, added - buffer.buffer_size)
+        first = max(self.segments[-1][1] if self.segments else self.offset, added - buffer.buffer_size)
         self.segments = [segment for segment in self.segments if segment[1] > added - buffer.buffer_size]
         if first == added:
             return
@@ -92,9 +92,9 @@ class ReplayFiles:
         write_arrays(path, {name: column[rows] for name, column in _columns(buffer).items()})
         flush_to_disk(path)
 
-    def forget(self) -> None:
-        """Forget all rows; the files go with the checkpoints that have them."""
-        self.segments = []
+    def forget(self, added: int) -> None:
+        """Begin with an empty buffer after the steps so far; the files go with the checkpoints that have them."""
+        self.segments, self.offset = [], added
 
     def _rows(self, buffer: ReplayBuffer, first: int, last: int) -> Array:
         """The rows of the ring for the steps from `first` to before `last`."""
@@ -112,7 +112,11 @@ class ReplayFiles:
         if not same:
             self.offset = oldest
         columns = _columns(buffer)
-        whole = self.segments[-1][1] == added and self.segments[0][0] <= max(self.offset, added - size) if self.segments else not added
+        whole = (
+            self.segments[-1][1] == added and self.segments[0][0] <= max(self.offset, added - size)
+            if self.segments
+            else self.offset == added
+        )
         if not whole:
             raise ValueError("the segments of the replay buffer are not all there")
         for first, last in self.segments:
