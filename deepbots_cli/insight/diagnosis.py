@@ -7,14 +7,17 @@ learning impossible comes before what often does, and both before what may only 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
-from shlex import quote
+from pathlib import Path
+from shlex import join, quote
 from statistics import fmean
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError
 from deepbots_cli.insight.rewards import (
     ending_early_pays,
@@ -47,11 +50,25 @@ from deepbots_cli.insight.statements import (
     statements_about,
 )
 from deepbots_cli.insight.trace import Array, Trace
-from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, lint_findings, returns_rise
+from deepbots_cli.insight.training import (
+    MIN_EPISODES,
+    TrainingEvidence,
+    latest_failure,
+    lint_findings,
+    named_source,
+    read_training,
+    returns_rise,
+    run_probes,
+    training_command,
+)
 from deepbots_cli.learning.report import longer_goal
+from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import default_values, longest_episode
 from deepbots_cli.program.task import Observation
 from deepbots_cli.runtime.supervisor import TRUE_AT_RESET
+
+TOTAL_TIMESTEPS = "train.total_timesteps"
+"""The setting whose new value continues a training, where the others begin another one."""
 
 _SAME_TOLERANCE = 1e-6  # numbers of the observation, from -1 to 1, that differ by less are equal
 _UNLEARNABLE = {"DB705", "DB708", "DB711", "DB807", "DB810"}
@@ -83,7 +100,57 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
     found = sorted(statements_about(causes, training), key=lambda each: -each.evidence["likelihood"])
     unlikely = [statement for statement in found if statement.evidence["likelihood"] < _CERTAIN_SHARE]
     left_out = (_SYMPTOMS if len(unlikely) < len(found) else set()) | (set() if training.is_mature else _PROVISIONAL_CAUSES)
-    return [statement for statement in found if not (statement in unlikely and statement.cause in left_out)]
+    kept = [statement for statement in found if not (statement in unlikely and statement.cause in left_out)]
+    return [replace(statement, command=_next_command(training, statement)) for statement in kept]
+
+
+QUICK_SECONDS = 10.0
+"""How long the short episodes after a training take at most."""
+
+
+def causes_after(run: Path, permissions: Permissions = Permissions()) -> list[Statement]:
+    """The causes of a training that has ended unsolved, from its files and a few seconds of short episodes; nothing is written."""
+    training = read_training(Run.open(run))
+    if has_learned(training):
+        return []
+    run_probes(training, permissions=permissions, seconds=QUICK_SECONDS)
+    return diagnose(training)
+
+
+_COMMANDS: Mapping[str, str] = {
+    "action_without_effect": "inspect {run}",
+    "constant_observation": "inspect {run}",
+    "easy_stage_counted": "eval {run} --details",
+    "ending_at_reset": "lint --deep {run}/resolved.yaml",
+    "exploration_delays_stage": "eval {run} --details",
+    "lint_warns": "lint {path}",
+    "saturated_observation": "inspect {run}",
+    "sensor_without_reading": "view {run}",
+    "silent_terms": "try {scenario}",
+    "some_starts_fail": "eval {run} --details",
+    "stage_too_hard": "eval {run} --details",
+    "standing_still_pays": "try {scenario} --driver zero",
+    "stuck_in_stage": "eval {run} --details",
+    "term_dominates": "try {scenario}",
+}
+"""What shows more of a cause, where no value under `train` is advised; for all others a failed episode."""
+
+
+def _next_command(t: TrainingEvidence, statement: Statement) -> str:
+    """What to run after a cause: the training with the advised values, or what shows the fault."""
+    run, path = t.run, quote(str(t.run.path))
+    if statement.settings.keys() == {TOTAL_TIMESTEPS}:
+        return f"deepbots train --resume {path} --timesteps {statement.settings[TOTAL_TIMESTEPS]}"
+    if statement.settings:
+        return join(training_command(run, [f"{setting}={value}" for setting, value in statement.settings.items()]))
+    if t.is_running:
+        return ""
+    if (failure := latest_failure(run.path)) is not None:
+        return f"deepbots diagnose {quote(str(failure))}"
+    has_failed_episode = not all(each.is_success for each in t.final_episodes) and (
+        t.run.program.defines_success or any(each.ended_by in t.run.program.failures for each in t.final_episodes))  # fmt: skip
+    form = _COMMANDS.get(statement.cause, "diagnose {run} --episode failed" if has_failed_episode else "view {run}")
+    return "deepbots " + form.format(run=path, path=statement.evidence.get("path"), scenario=quote(named_source(run.record.source)))
 
 
 def has_learned(t: TrainingEvidence) -> Literal["exploring", "evaluated"] | None:
@@ -307,7 +374,8 @@ def learning_rate_too_high(t: TrainingEvidence) -> Numbers | None:
         return None
     first, last = (float(t.episodes_between(*ends).returns.mean()) for ends in ((0.0, 0.25), (0.75, 1.0)))
     return {"likelihood": 0.93 if times >= 20 else 0.75 if times > 5 else 0.5, "rate": rate, "usual": usual, "times": times,
-            "clipped": Percentage(clipped), "kl": kl, "first": first, "last": last}  # fmt: skip
+            "clipped": Percentage(clipped), "kl": kl, "first": first, "last": last,
+            "settings": {"train.learning_rate": f"{usual:g}"}}  # fmt: skip
 
 
 def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
@@ -323,9 +391,10 @@ def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
     counts = until is not None and until.episodes is not None and until.metric != "steps"
     by_evaluation = ["let evaluations end the stage, with `in evaluation` in its `until`"] if counts else []
     shorten = "shorten the time for which the success condition must be true"
-    remedy = " and ".join([*by_evaluation, *_exploration_changes(t, 0.1)]) or shorten
+    less = _exploration_changes(t, 0.1)
+    remedy = " and ".join([*by_evaluation, *map(str, less)]) or shorten
     return {"likelihood": 0.94, "without": found[0], "with": found[1], "where": f" in stage '{t.stage}'" if t.stage else "",
-            "remedy": _sentence(remedy)}  # fmt: skip
+            "remedy": _sentence(remedy), "settings": _settings(less)}  # fmt: skip
 
 
 def exploration_delays_stage(t: TrainingEvidence) -> Numbers | None:
@@ -353,23 +422,43 @@ def _sentence(words: str) -> str:
     return words[0].upper() + words[1:]
 
 
-def _exploration_changes(t: TrainingEvidence, factor: float) -> list[str]:
-    """How to change the options for exploration that the algorithm has, with their present and proposed values."""
-    found, settings, verb = [], t.settings, "raise" if factor > 1 else "lower"
+class Change(NamedTuple):
+    """Another value of a setting under `train`: the path of the setting, its present value and the advised one, both as text."""
+
+    path: str
+    before: str
+    after: str
+    verb: str = "set"
+
+    def __str__(self) -> str:
+        now = f" from {self.before}" if self.before else ""
+        return f"{self.verb} `{self.path}`{now} to {self.after}"
+
+
+def _settings(changes: Sequence[Change]) -> dict[str, str]:
+    return {change.path: change.after for change in changes}
+
+
+def _exploration_changes(t: TrainingEvidence, factor: float) -> list[Change]:
+    """How to change the options for exploration that the algorithm has."""
+    found, settings, verb = list[Change](), t.settings, "raise" if factor > 1 else "lower"
     weight, chance = t.number_setting("ent_coef"), t.number_setting("exploration_final_eps")
     noise = getattr(settings.get("action_noise"), "sigma", None)
     if weight is not None and (weight or factor > 1):
-        found.append(f"{verb} `train.ent_coef` from {weight:g} to {weight * factor or 0.01:.2g}")
+        found.append(Change("train.ent_coef", f"{weight:g}", f"{weight * factor or 0.01:.2g}", verb))
     elif isinstance(settings.get("ent_coef"), str):
         size = len(t.program.agent.range_names)
-        found.append(f"set `train.target_entropy` from {settings.get('target_entropy')} to {-size * (0.5 if factor > 1 else 2):g}")
+        found.append(Change("train.target_entropy", f"{settings.get('target_entropy')}", f"{-size * (0.5 if factor > 1 else 2):g}"))
     if noise is not None and (noise.end or factor > 1):
         now = f"{noise.start:g}" if noise.start == noise.end else f"{noise.start:g} -> {noise.end:g}"
         wanted = "0.3" if factor > 1 else f"{noise.start:g} -> {0.1 * noise.end:.2g}"
-        found.append(f"{verb} `sigma` of `train.action_noise` from {now} to {wanted}")
+        training = t.program.agent.training
+        is_given = training is not None and training.action_noise is not None
+        path, value = ("train.action_noise.sigma", wanted) if is_given else ("train.action_noise", f"{{type: normal, sigma: {wanted}}}")
+        found.append(Change(path, now, value, verb))
     if chance is not None and (chance or factor > 1):
         wanted_chance = min(0.3, 3 * chance or 0.1) if factor > 1 else 0.1 * chance
-        found.append(f"{verb} `train.exploration_final_eps` from {chance:g} to {wanted_chance:.2g}")
+        found.append(Change("train.exploration_final_eps", f"{chance:g}", f"{wanted_chance:.2g}", verb))
     return found
 
 
@@ -391,7 +480,7 @@ def exploration_too_large(t: TrainingEvidence) -> Numbers | None:
     return {"likelihood": 0.93 if weight >= 0.1 else 0.5, "weight": weight, "entropy": late, "share": Percentage(share),
             "updates": len(entropy), "late": float(t.episodes_between(0.75, 1.0).returns.mean()), "last_evaluation": last,
             "evaluated": "" if last is None else f", and that of the last evaluation, without exploration, {last:.3g}",
-            "wanted": min(0.01, 0.1 * weight)}  # fmt: skip
+            "wanted": min(0.01, 0.1 * weight), "settings": {"train.ent_coef": f"{min(0.01, 0.1 * weight):.3g}"}}  # fmt: skip
 
 
 def _random_entropy(t: TrainingEvidence) -> float | None:
@@ -405,19 +494,21 @@ def exploration_collapsed(t: TrainingEvidence) -> Numbers | None:
 
     Try: {remedy}.
     """
-    rate, remedies = t.number_setting("learning_rate"), _exploration_changes(t, 10.0)
-    remedies += [f"lower `train.learning_rate` from {rate:g} to {rate / 3:.1g}"] if rate is not None else []
-    remedy = _sentence(" or ".join(remedies) or "raise the noise of the algorithm")
+    rate, more = t.number_setting("learning_rate"), _exploration_changes(t, 10.0)
+    slower = [Change("train.learning_rate", f"{rate:g}", f"{rate / 3:.1g}", "lower")] if rate is not None else []
+    remedy = _sentence(" or ".join(map(str, [*more, *slower])) or "raise the noise of the algorithm")
+    settings = _settings(more or slower)
     sigma = getattr(getattr(t.settings.get("action_noise"), "sigma", None), "start", None)
     if sigma == 0:
         return {"likelihood": 0.85, "measure": "the standard deviation of the action noise", "value": 0.0, "least": 0.1, "steps": t.steps,
-                "remedy": remedy}  # fmt: skip
+                "remedy": remedy, "settings": settings}  # fmt: skip
     random, measures = _random_entropy(t), []
     if random is not None:
         measures.append(("the entropy of the policy", -t.curve("train/entropy_loss"), 0.05 * random))
     for measure, curve, least in [*measures, ("the standard deviation of the actions", t.curve("train/std"), 0.05)]:
         if len(curve) >= MIN_EPISODES and (value := float(curve[len(curve) // 2])) < least:
-            return {"likelihood": 0.6, "steps": t.steps // 2, "measure": measure, "value": value, "least": least, "remedy": remedy}
+            return {"likelihood": 0.6, "steps": t.steps // 2, "measure": measure, "value": value, "least": least, "remedy": remedy,
+                    "settings": settings}  # fmt: skip
     return None
 
 
@@ -461,7 +552,7 @@ def _length(t: TrainingEvidence) -> dict[str, Any]:
     if t.is_running:
         advice = f"Let it run: {t.steps:,} of {t.run.record.total_timesteps:,} steps have been made."
     return {"steps": t.steps, "episodes": len(t.all_episodes), "planned": t.planned, "share": Percentage(t.steps / t.planned), "more": more,
-            "advice": advice}  # fmt: skip
+            "advice": advice, "settings": {} if t.is_running else {TOTAL_TIMESTEPS: f"{more:_}"}}  # fmt: skip
 
 
 CAUSES: tuple[StatementRule[TrainingEvidence], ...] = (

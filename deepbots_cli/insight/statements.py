@@ -6,7 +6,7 @@ A row is a function that finds numbers, and whose docstring is the sentence that
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -19,7 +19,8 @@ T_contra = TypeVar("T_contra", contravariant=True)
 class StatementRule(Protocol[T_contra]):
     """A row: its name is the cause, its docstring the sentence, with a field in braces for each number, then `Try:` and what to try.
 
-    It returns None where it does not apply. Evidence may hold more than the sentence shows; its entry `likelihood` (0 to 1) orders causes.
+    It returns None where it does not apply. Evidence may hold more than the sentence shows; its entry `likelihood` (0 to 1) orders causes,
+    and `settings` become those of the statement.
     """
 
     __name__: str
@@ -29,15 +30,22 @@ class StatementRule(Protocol[T_contra]):
 
 @dataclass(frozen=True)
 class Statement:
-    """A sentence with the numbers that it rests on."""
+    """A sentence with the numbers that it rests on.
+
+    `settings` is the part of the advice that is values of the scenario: the value as text, by the path of its setting. `command` is what to
+    run next.
+    """
 
     cause: str
     text: str
     advice: str
     evidence: Mapping[str, Any]
+    settings: Mapping[str, str] = field(default_factory=dict)
+    command: str = ""
 
     def as_json(self) -> dict[str, Any]:
-        return {"cause": self.cause, "text": self.text, **({"advice": self.advice} if self.advice else {}), "evidence": self.evidence}
+        further = {"advice": self.advice, "settings": self.settings, "command": self.command}
+        return {"cause": self.cause, "text": self.text, **{name: each for name, each in further.items() if each}, "evidence": self.evidence}
 
 
 class Percentage(float):
@@ -84,7 +92,8 @@ def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Stat
         if evidence is not None:
             shown = {key: _number_text(value) for key, value in evidence.items()}
             text, _, advice = " ".join((finder.__doc__ or "").split()).partition(" Try: ")
-            found.append(Statement(finder.__name__, text.format(**shown), advice.format(**shown), evidence))
+            settings, kept = evidence.get("settings", {}), {key: value for key, value in evidence.items() if key != "settings"}
+            found.append(Statement(finder.__name__, text.format(**shown), advice.format(**shown), kept, settings))
     return found
 
 

@@ -6,21 +6,23 @@ Logs are `monitor.csv`, the TensorBoard files and the evaluations during the tra
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
+from pathlib import Path
 from shlex import join, quote
 from statistics import fmean
 from typing import Any
 
 import numpy as np
 
-from deepbots_cli import api
+from deepbots_cli import api, engine_kinds
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.document import Permissions
+from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.conditions import instrument_program
@@ -241,10 +243,40 @@ def lint_findings(run: Run) -> tuple[str, Sequence[Finding]]:
     return quote(str(resolved)), run.compiled.findings
 
 
+def named_source(source: str) -> str:
+    """The scenario of a record as an argument of a command: the name of a shipped one, else its path."""
+    path = Path(source)
+    return path.stem if path.name == f"{path.stem}.yaml" and shipped.scenario_path(path.stem) == path else source
+
+
+def training_command(run: Run, assignments: Sequence[str]) -> list[str]:
+    """The command that trains the scenario of a run anew, with its seed, options and `--set`, and further assignments."""
+    record, settings = run.record, dict[str, str]()
+    for text in (*changed_settings(record.command), *assignments):
+        path, _, value = text.partition("=")
+        settings.pop(path, None)
+        settings[path] = value
+    words = ["deepbots", "train", named_source(record.source), "--seed", str(record.seed)]
+    training = run.program.agent.training
+    if training is not None and record.total_timesteps != training.total_timesteps and "train.total_timesteps" not in settings:
+        words += ["--timesteps", str(record.total_timesteps)]
+    words += [word for path, value in settings.items() for word in ("--set", f"{path}={value}")]
+    own = run.program.engine
+    words += [] if record.engine == engine_kinds.chosen(own) else ["--engine", record.engine]
+    words += [] if record.first_stage is None else ["--stage", record.first_stage]
+    words += [] if record.stop_when_solved else ["--full"]
+    return [*words, *(["--allow-code"] if "--allow-code" in record.command else [])]
+
+
+def latest_failure(run: Path) -> Path | None:
+    """The file of the last episode that raised an error."""
+    return max((run / failures.FAILURES_FOLDER).glob("[0-9][0-9][0-9][0-9].json"), default=None)
+
+
 def read_training(run: Run) -> TrainingEvidence:
     """The logs of a run, without short episodes. Raises: RunError: A log is damaged."""
-    files = sorted((run.path / failures.FAILURES_FOLDER).glob("[0-9][0-9][0-9][0-9].json"))
-    failure = failures.read_failure(files[-1])[0] if files else None
+    file = latest_failure(run.path)
+    failure = failures.read_failure(file)[0] if file is not None else None
     error = "" if failure is None else f"episode {failure.episode:,}, {failure.error}"
     episodes, evaluations = logs_of(run.path)
     running = is_training(run.path)
@@ -258,14 +290,18 @@ def read_training(run: Run) -> TrainingEvidence:
 
 
 def run_probes(
-    training: TrainingEvidence, *, permissions: Permissions = Permissions(), on_episode: Callable[[int, int], object] | None = None
+    training: TrainingEvidence,
+    *,
+    permissions: Permissions = Permissions(),
+    on_episode: Callable[[int, int], object] | None = None,
+    seconds: float = math.inf,
 ) -> None:
-    """Run the short episodes of a training, all from the same starts."""
+    """Run the short episodes of a training, all from the same starts; after `seconds`, the rest is left out."""
     from deepbots_cli.learning.evaluation import load_model
     from deepbots_cli.learning.sb3.algorithms import torch_settings
     from deepbots_cli.rollout.policies import PolicyDriver
 
-    run = training.run
+    run, deadline = training.run, time.monotonic() + seconds
     seeds = [derive_seed(run.record.seed, "diagnosis", number) for number in range(PROBE_EPISODES)]
     watch = instrument_program(training.program, include_observation=True)
     world = TraceRecorder(api.build(watch.program, engine=run.record.engine, permissions=permissions), watch)
@@ -279,28 +315,31 @@ def run_probes(
         total = PROBE_EPISODES * (1 + (idle is not None) + (model is not None)) + sum(map(len, constant.values()))
         done = 0
 
-        def episode(seed: int, driver: Driver, count: int = PROBE_STEPS) -> Trace:
+        def episode(seed: int, driver: Driver, count: int = PROBE_STEPS) -> list[Trace]:
             nonlocal done
+            if time.monotonic() > deadline:
+                return []
             error = ""
             try:
                 for _ in islice(steps(world, driver, Start(seed)), count + 1):
-                    pass
+                    if time.monotonic() > deadline:
+                        break
             except DeepbotsError as failed:
                 error = str(failed)
             done += 1
             if on_episode is not None:
                 on_episode(done, total)
-            return world.trace("a short episode", error=error)
+            return [world.trace("a short episode", error=error)]
 
-        training.random = [episode(seed, random_driver(world)) for seed in seeds]
+        policy, random, still = list[Trace](), list[Trace](), list[Trace]()
+        for seed in seeds:  # of each kind one after the other, so that a few seconds show something of all
+            random += episode(seed, random_driver(world))
+            policy += episode(seed, PolicyDriver(model, world)) if model is not None else []
+            still += episode(seed, constant_driver(world.world.make_action(*idle))) if idle is not None else []
+        training.random, training.policy, training.idle = random, policy, still
         for part, actions in constant.items():
-            training.constant_actions[part] = {
-                name: episode(seeds[0], constant_driver(action), CONSTANT_ACTION_STEPS) for name, action in actions.items()
-            }
-        if idle is not None:
-            training.idle = [episode(seed, constant_driver(world.world.make_action(*idle))) for seed in seeds]
-        if model is not None:
-            training.policy = [episode(seed, PolicyDriver(model, world)) for seed in seeds]
+            found = {name: episode(seeds[0], constant_driver(action), CONSTANT_ACTION_STEPS) for name, action in actions.items()}
+            training.constant_actions[part] = {name: trace for name, traces in found.items() for trace in traces}
 
 
 def _constant(env: Supervisor) -> dict[str, dict[str, Any]]:

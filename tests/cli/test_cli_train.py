@@ -24,6 +24,7 @@ import pytest
 from deepbots_cli.cli import main
 from deepbots_cli.cli.commands.train import _page
 from deepbots_cli.document import Permissions
+from deepbots_cli.insight.diagnosis import causes_after
 from deepbots_cli.learning.run import RunRecord
 from deepbots_cli.learning.verdict import run_verdict
 from tests.cli.conftest import Ran
@@ -63,6 +64,26 @@ def test_a_solved_task_is_to_be_seen_and_used_and_not_trained_twice_as_long(deep
     ran = deepbots(*TINY, "--run", "mine", "--set", "solved=mean_return >= 1 over 4 episodes")
     assert ran.err.split("next:")[1].split("\n")[1:4] == ["  deepbots view mine", "  deepbots report mine", "  deepbots export mine"]
     assert "--resume" not in ran.err
+
+
+def test_a_training_that_ends_unsolved_names_the_first_cause_and_one_command(deepbots, tmp_path, monkeypatch):
+    words = [*TINY, "-q", "--set", "solved=mean_return >= 150 over 4 episodes", "--set", "train.learning_rate=0.5", "--run"]
+    monkeypatch.setattr(sys, "argv", ["deepbots", *words, "mine"])
+    ran = deepbots(*words, "mine")
+    assert "most likely cause (" in ran.out
+    assert "The learning rate is 0.5, 167 times the usual 0.003" in ran.out
+    advised = ran.err.split("next:\n")[1].splitlines()[0].split()
+    assert advised[:5] == ["deepbots", "train", "cartpole", "--seed", "0"]
+    assert "train.learning_rate=0.003" in advised
+    assert "train.learning_rate=0.5" not in advised
+    assert "train.n_steps=64" in advised
+    files = {path: path.read_bytes() for path in (tmp_path / "mine").rglob("*") if path.is_file()}
+    cause = causes_after(tmp_path / "mine")[0].as_json()
+    assert files == {path: path.read_bytes() for path in (tmp_path / "mine").rglob("*") if path.is_file()}
+    assert cause["settings"] == {"train.learning_rate": "0.003"}
+    printed = json.loads(deepbots(*words, "again", "--json").out)["cause"]
+    assert printed["settings"] == cause["settings"]
+    assert "--set train.learning_rate=0.003" in printed["command"]
 
 
 def test_the_next_commands_can_be_pasted_though_the_path_has_blanks(deepbots, tmp_path):

@@ -256,14 +256,17 @@ def test_advice_on_exploration_names_options_that_the_algorithm_has(staged, tmp_
     assert "ent_coef" not in first.advice
     assert "action_noise" not in first.advice
     weighted = _shuttle(tmp_path, f"curriculum={STAGES}", "train.ent_coef=0.05")
-    assert "lower `train.ent_coef` from 0.05 to 0.005" in diagnose(_logs(weighted, _returns(good, 0), **logs))[0].advice
+    advised = diagnose(_logs(weighted, _returns(good, 0), **logs))[0]
+    assert "lower `train.ent_coef` from 0.05 to 0.005" in advised.advice
+    assert advised.settings == {"train.ent_coef": "0.005"}
 
 
 def test_action_noise_of_zero_is_raised_to_a_number_above_zero(tmp_path):
     silent = _shuttle(tmp_path, "train={algorithm: TD3, total_timesteps: 24000, action_noise: {type: normal, sigma: 0}}")
     collapsed = diagnose(_logs(silent, _returns(np.zeros(400), 0)))
-    (advice,) = [each.advice for each in collapsed if each.cause == "exploration_collapsed"]
-    assert "aise `sigma` of `train.action_noise` from 0 to 0.3" in advice
+    (found,) = [each for each in collapsed if each.cause == "exploration_collapsed"]
+    assert "aise `train.action_noise.sigma` from 0 to 0.3" in found.advice
+    assert found.settings == {"train.action_noise.sigma": "0.3"}
 
 
 def test_a_stage_that_exploration_prolonged_is_named(staged):

@@ -245,5 +245,5 @@ def _diagnose(run: Path, *, only_logs: bool, as_json: bool, permissions: Permiss
             terminal.print_result(f"\n{number}. {cause.text}\n   Try: {cause.advice}")
     if all("error" in each for each in found):
         raise RunError(f"{run} contains no run that can be diagnosed")
-    if as_json:
-        terminal.show_json({"runs": found})
+    commands = [each["causes"][0].get("command") for each in found if each.get("causes")]
+    terminal.show({"runs": found}, as_json=as_json, next_commands=list(dict.fromkeys(filter(None, commands))))

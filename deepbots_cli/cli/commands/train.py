@@ -34,7 +34,7 @@ from deepbots_cli.cli.command import (
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
-from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.learning import report
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.run import Run
@@ -44,6 +44,7 @@ from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.scenario.training import MAX_SHARDS
 
 if TYPE_CHECKING:
+    from deepbots_cli.insight.statements import Statement
     from deepbots_cli.learning import TrainingResult
     from deepbots_cli.learning.group import GroupTraining
     from deepbots_cli.learning.shards import Placement
@@ -124,7 +125,7 @@ def command(
 
     Training stops when an evaluation confirms that the task is solved, or at the total number of timesteps. Ctrl-C stops it after the
     current rollout and keeps the policy. The run directory holds the inputs, the models and the results. A run never overwrites another
-    one.
+    one. If the task is not solved, train prints the most likely cause and one command to run next.
 
     \b
       deepbots train cartpole
@@ -386,10 +387,16 @@ def _finish_group(group: GroupTraining, spread: Spread, *, quiet: bool, as_json:
         evaluation = learning.evaluate_group(group.group, permissions=permissions, on_run=show_run, spread=spread)
     for found in evaluation.evaluations:
         records.write_evaluation(Run.open(found.run), records.evaluation_json(found))
-    path, data = quote(str(group.group)), {"training": vars(group), "evaluation": records.group_json(evaluation)}
+    path = quote(str(group.group))
+    data: dict[str, Any] = {"training": vars(group), "evaluation": records.group_json(evaluation)}
+    unsolved = [found for found in evaluation.evaluations if found.solved is False or (found.solved is None and found.success_defined)]
+    worst = min(unsolved, key=lambda found: (found.success_rate, found.mean_return), default=None)
+    causes = [] if worst is None else _causes(worst.run, quiet=quiet, permissions=permissions)
     further = [f"deepbots eval {path} --csv {quote(f'{group.group.name}.csv')}", f"deepbots compare {path} OTHER_GROUP"]
     further.append(f"tensorboard --logdir {path}")
-    terminal.show(data, "\n" + records.group_text(evaluation), as_json=as_json, next_commands=further)
+    data["cause"] = causes[0].as_json() if causes else None
+    of = "" if worst is None else f" of {worst.run}, the worst of {len(unsolved)} unsolved seed{'s' * (len(unsolved) > 1)}"
+    terminal.show(data, "\n" + records.group_text(evaluation), *_cause_lines(causes, of), as_json=as_json, next_commands=further)
     if group.failed:
         raise typer.Exit(FAILED)
 
@@ -409,7 +416,31 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: 
     further = [f"deepbots render {run} -o {film}", f"deepbots train --resume {run} {longer}", f"tensorboard --logdir {logs}"]
     if solved:
         further = [f"deepbots {command} {run}" for command in ("view", "report", "export")]
-    elif solved is False:
-        further.insert(0, f"deepbots diagnose {run}")
-    data = {"training": result, "evaluation": found, "solved": solved}
-    terminal.show(data, "\n" + records.evaluation_text(evaluation, cases), as_json=as_json, next_commands=further)
+    has_goal = solved is False or trained.program.defines_success
+    causes = _causes(result.run, quiet=quiet, permissions=permissions) if has_goal and not solved else []
+    if causes:
+        commands = [causes[0].command, f"deepbots diagnose {run}"]
+        further = [*dict.fromkeys(filter(None, [*commands, *further[:1], *further[2:]]))]
+    data = {"training": result, "evaluation": found, "solved": solved, "cause": causes[0].as_json() if causes else None}
+    text = "\n" + records.evaluation_text(evaluation, cases)
+    terminal.show(data, text, *_cause_lines(causes), as_json=as_json, next_commands=further)
+
+
+def _causes(run: Path, *, quiet: bool, permissions: Permissions) -> list[Statement]:
+    """Why a training did not solve its task, the most likely cause first."""
+    with terminal.transient_line("" if quiet else "looking for the cause ..."):
+        from deepbots_cli.insight.diagnosis import causes_after
+
+        try:
+            return causes_after(run, permissions)
+        except DeepbotsError:  # it has no finished episode, for example
+            return []
+
+
+def _cause_lines(causes: Sequence[Statement], of: str = "") -> list[str]:
+    """The first cause, and what to do."""
+    if not causes:
+        return []
+    first, others = causes[0], len(causes) - 1
+    more = f" ({others} more: deepbots diagnose)" if others else ""
+    return [f"\nmost likely cause{of}{more}: {first.text}", f"try: {first.advice}"]
