@@ -9,6 +9,7 @@ terminal.py    output, color, progress
 tables.py      tables as text
 inspection.py  the tables of `inspect`
 records.py     results of trainings and evaluations as text, JSON, CSV and JUnit
+retries.py     the attempts of `train --retry`: their table, and their values in a scenario file
 throughput.py  the measurements of `bench` for several engines and batches
 exploits.py    what `lint --exploits` keeps: recordings, and which tasks were searched
 starters/      the scenarios that `new` writes

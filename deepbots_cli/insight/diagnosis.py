@@ -74,7 +74,7 @@ _SAME_TOLERANCE = 1e-6  # numbers of the observation, from -1 to 1, that differ 
 _UNLEARNABLE = {"DB705", "DB708", "DB711", "DB807", "DB810"}
 """Lint shows by these that failing or avoiding the success earns most, that all policies earn the same, or that what is required is out of
 reach."""
-_CERTAIN_SHARE, _SYMPTOMS = 0.9, {"too_few_steps", "one_ending", "success_plateau"}
+CERTAIN, _SYMPTOMS = 0.9, {"too_few_steps", "one_ending", "success_plateau"}
 """Beside a cause that is as likely as this, the length of the training, its most frequent ending and a flat success are no causes."""
 _PROVISIONAL_CAUSES = {"success_never_seen", "silent_terms", "one_ending", "exploration_too_large"}
 """What may still change in a training or a stage that is young: a cause only once it is mature, or if it is certain."""
@@ -98,7 +98,7 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
         starts = (some_starts_fail,) if training.run.program.agent.solved is None else ()
         causes = (*starts, *((exploration_too_large,) if learned == "evaluated" else ()))
     found = sorted(statements_about(causes, training), key=lambda each: -each.evidence["likelihood"])
-    unlikely = [statement for statement in found if statement.evidence["likelihood"] < _CERTAIN_SHARE]
+    unlikely = [statement for statement in found if statement.evidence["likelihood"] < CERTAIN]
     left_out = (_SYMPTOMS if len(unlikely) < len(found) else set()) | (set() if training.is_mature else _PROVISIONAL_CAUSES)
     kept = [statement for statement in found if not (statement in unlikely and statement.cause in left_out)]
     return [replace(statement, command=_next_command(training, statement)) for statement in kept]

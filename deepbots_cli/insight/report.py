@@ -33,7 +33,7 @@ from deepbots_cli.insight.card import render_template
 from deepbots_cli.insight.training import lint_findings
 from deepbots_cli.learning.episodes import UNBOUNDED
 from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.run import EvaluationWithEpisodes, Run, in_parentheses, is_training
+from deepbots_cli.learning.run import EvaluationWithEpisodes, Run, RunRecord, in_parentheses, is_training
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.rollout import Episode
@@ -120,6 +120,8 @@ class Report:
     path: Path
     runs: Sequence[ReportRun]
     notes: list[str] = field(default_factory=list)
+    attempts: Sequence[tuple[str, str, str, str]] = ()
+    """Of a group of `train --retry`, whose best run is shown: name, what was changed, why, and the result of each attempt."""
     clips: dict[str, tuple[str, str]] = field(default_factory=dict)
     """Caption and MP4 as a data URI, by label."""
     episodes: Sequence[ReportEpisode] = ()
@@ -140,6 +142,10 @@ class Report:
         if source.kind is SourceKind.RUN:
             return Report(path, [ReportRun.read(path)], ["the training is still running"] if is_training(path) else [])
         group, members, notes = Group.open(path), list[ReportRun](), list[str]()
+        if group.record.attempts:
+            best = group.attempt(group.best_attempt)
+            attempts = [_attempt(group, number) for number in range(1, len(group.record.attempts) + 1)]
+            return Report(path, [ReportRun.read(best)], [f"the figures show the best of the attempts, {best.name}"], attempts)
         for seed in group.record.seeds:
             try:
                 members.append(ReportRun.read(group.run(seed)))
@@ -166,7 +172,7 @@ class Report:
     def result(self) -> str:
         """The result in one line, with its interval."""
         found = [member.evaluation for member in self.runs]
-        if folder_kind(self.path) is not SourceKind.GROUP:
+        if self.attempts or folder_kind(self.path) is not SourceKind.GROUP:
             return self.runs[0].verdict.text
         text = "mean return " + _seed_statistics("{:.4g}", [each.mean_return for each in found])
         rates = [each.success_rate for each in found if each.success_rate is not None]
@@ -298,6 +304,15 @@ class Report:
             command=join(run.record.command) or "(from Python)", version=deepbots_cli.__version__, python=platform.python_version(),
             matplotlib=version("matplotlib"), notes=dict.fromkeys([*self.notes, *(note for m in self.runs for note in m.run.notes())]),
         )  # fmt: skip
+
+
+def _attempt(group: Group, number: int) -> tuple[str, str, str, str]:
+    """A row of the table of attempts."""
+    attempt, folder = group.record.attempts[number - 1], group.attempt(number)
+    changed = ", ".join(f"{path}: {text}" for path, text in attempt.settings.items()) or "nothing"
+    why = f"try-{attempt.base}: {attempt.text}" if attempt.base else ""
+    result = run_verdict(folder, RunRecord.read(folder)).text if folder_kind(folder) is SourceKind.RUN else "not trained"
+    return folder.name, changed, why, result
 
 
 def _seed_statistics(form: str, values: Sequence[float], bounds: tuple[float, float] = UNBOUNDED) -> str:

@@ -325,8 +325,13 @@ def _open_runs(group: Group) -> _GroupMembers:
     """The runs of a group that have a model.
 
     Raises:
-        RunError: There is none.
+        RunError: There is none, or the runs have different values.
     """
+    if group.record.attempts:
+        best = group.attempt(group.best_attempt)
+        raise RunError(
+            f"the runs of {group.path} have different values, so they have no common statistics; name one of them, such as {best}"
+        )
     ready = group.runs_with_model
     if not ready:
         raise RunError(f"{group.path} contains no trained run yet; train it with: deepbots train --resume {group.path}")

@@ -1,4 +1,4 @@
-"""Groups: one folder with a run for each of several seeds, which differ in nothing else.
+"""Groups: one folder with a run for each of several seeds, which differ in nothing else, or with attempts at one scenario.
 
     runs/cartpole-seeds-1/
     ├── group.json           seeds, settings of the trainings, command
@@ -6,18 +6,21 @@
     ├── workers/             the output of workers
     └── seed-0/, seed-1/ ... the runs
 
+The runs of `train --retry` are `try-1`, `try-2`, ... instead: one seed, with other values under `train` each (`insight/retry.py`).
 The seeds are trained one after the other, or on workers (`spread`): then a training whose worker was lost is resumed by another one, to
 the same bytes. Importing this module does not load torch.
 """
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, Unpack
 
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt
@@ -44,6 +47,7 @@ from deepbots_cli.learning.run import (
     write_text,
 )
 from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, CallOptions, Spread
+from deepbots_cli.learning.verdict import RunVerdict, run_verdict
 from deepbots_cli.rollout.source import GROUP_RECORD_NAME, Source, SourceKind, folder_kind
 
 if TYPE_CHECKING:
@@ -52,11 +56,37 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 MAX_SEEDS = 1000
+MAX_RETRIES = 20
 _MAX_RECORD_BYTES = 1_000_000
 
 
+class RetryAttempt(BaseModel):
+    """A training of `train --retry`.
+
+    Attributes:
+        settings: The values that differ from the scenario, as text, by the path of the setting.
+        base: Number of the attempt that was diagnosed, from 1; 0 for the first one.
+        cause: Name of the cause that advised the last of the values, `text` is its sentence.
+    """
+
+    model_config = ConfigDict(frozen=True, strict=True)
+
+    settings: Mapping[str, str] = {}
+    base: NonNegativeInt = 0
+    cause: str = ""
+    text: str = ""
+
+    @property
+    def assignments(self) -> list[str]:
+        """The values as for `--set`."""
+        return [f"{path}={value}" for path, value in self.settings.items()]
+
+
 class GroupRecord(BaseModel):
-    """The content of `group.json`: the seeds, and the settings that all trainings share; see `train` for their meaning."""
+    """The content of `group.json`: the seeds, and the settings that all trainings share; see `train` for their meaning.
+
+    A group of `train --retry` has one seed, the attempts so far, and the highest number of `retries` after the first.
+    """
 
     model_config = ConfigDict(frozen=True, strict=True)
 
@@ -75,6 +105,8 @@ class GroupRecord(BaseModel):
     loggers: tuple[str, ...] = ()
     command: tuple[str, ...]
     started: str
+    retries: int = Field(default=0, ge=0, le=MAX_RETRIES)
+    attempts: tuple[RetryAttempt, ...] = Field(default=(), max_length=MAX_RETRIES + 1)
 
     @property
     def options(self) -> dict[str, Any]:
@@ -105,10 +137,13 @@ class Group:
         record = read_json(path / GROUP_RECORD_NAME, GroupRecord, _MAX_RECORD_BYTES)
         if len(set(record.seeds)) < len(record.seeds):
             raise RunError(f"{path / GROUP_RECORD_NAME} is damaged: it lists a seed twice")
-        for name in (GROUP_RECORD_NAME, RESOLVED_NAME, INPUTS_FOLDER, WORKERS_FOLDER, *(f"seed-{seed}" for seed in record.seeds)):
-            if (path / name).is_symlink():
-                raise RunError(f"{path / name} is a symbolic link; deepbots does not write symbolic links into a group")
-        return Group(path, record)
+        if any(attempt.base > number for number, attempt in enumerate(record.attempts)) or (record.attempts and len(record.seeds) > 1):
+            raise RunError(f"{path / GROUP_RECORD_NAME} is damaged: its attempts do not follow one another")
+        opened = Group(path, record)
+        for member in (*(path / name for name in (GROUP_RECORD_NAME, RESOLVED_NAME, INPUTS_FOLDER, WORKERS_FOLDER)), *opened.folders):
+            if member.is_symlink():
+                raise RunError(f"{member} is a symbolic link; deepbots does not write symbolic links into a group")
+        return opened
 
     def write(self) -> None:
         """Write the record."""
@@ -118,10 +153,36 @@ class Group:
         """The folder of the run of a seed, which exists once its training has begun."""
         return self.path / f"seed-{seed}"
 
+    def attempt(self, number: int) -> Path:
+        """The folder of the run of an attempt, from 1."""
+        return self.path / f"try-{number}"
+
+    @property
+    def folders(self) -> list[Path]:
+        """The folders of all runs, in the order of the seeds or attempts."""
+        attempts = range(1, len(self.record.attempts) + 1)
+        return [self.attempt(number) for number in attempts] or [self.run(seed) for seed in self.record.seeds]
+
     @property
     def runs(self) -> list[Path]:
-        """The folders of the runs that have begun, in the order of the seeds."""
-        return [self.run(seed) for seed in self.record.seeds if folder_kind(self.run(seed)) is SourceKind.RUN]
+        """The folders of the runs that have begun, in the order of the seeds or attempts."""
+        return [folder for folder in self.folders if folder_kind(folder) is SourceKind.RUN]
+
+    @property
+    def best_attempt(self) -> int:
+        """The number of the attempt with the best evaluation: solved, then by success rate and mean return; of equals the first one.
+
+        Raises:
+            RunError: A record is damaged.
+        """
+
+        def rank(number: int) -> tuple[bool, float, float]:
+            folder = self.attempt(number)
+            verdict = run_verdict(folder, RunRecord.read(folder)) if folder_kind(folder) is SourceKind.RUN else RunVerdict(None, None)
+            found = verdict.evaluation
+            return (verdict.solved is True, *((found.success_rate or 0.0, found.mean_return) if found else (0.0, -math.inf)))
+
+        return max(range(1, len(self.record.attempts) + 1), key=rank)
 
     @property
     def runs_with_model(self) -> list[Path]:
@@ -193,20 +254,7 @@ def train_group(
 
     checked_settings(compiled.program, seeds, **options)
     path = new_directory(group, runs, compiled.program.name, "seeds")
-    kept: dict[str, Any] = {**options}
-    kept |= {name: tuple(kept.get(name, ())) for name in ("callbacks", "loggers", "command")}
-    kept["engine"] = engine_kinds.chosen(kept.get("engine") or compiled.program.engine)
-    if kept.get("initialize_from") is not None:
-        kept["initialize_from"] = str(Path(kept["initialize_from"]).absolute())
-    record = GroupRecord(
-        format=FORMAT,
-        deepbots=deepbots_cli.__version__,
-        scenario=compiled.program.name,
-        source=str(compiled.source),
-        seeds=tuple(seeds),
-        started=timestamp(),
-        **kept,
-    )
+    record = new_record(compiled, seeds, options)
     made = Group(path, record)
     try:
         with run_lock(path):
@@ -217,6 +265,26 @@ def train_group(
         if not made.runs:  # nothing can be trained with these settings, or written there
             shutil.rmtree(path, ignore_errors=True)
         raise
+
+
+def new_record(compiled: Compiled, seeds: Sequence[int], options: TrainingOptions, retries: int = 0) -> GroupRecord:
+    """The record of a group whose trainings have these options; with `retries`, of a group of attempts."""
+    kept: dict[str, Any] = {**options}
+    kept |= {name: tuple(kept.get(name, ())) for name in ("callbacks", "loggers", "command")}
+    kept["engine"] = engine_kinds.chosen(kept.get("engine") or compiled.program.engine)
+    if kept.get("initialize_from") is not None:
+        kept["initialize_from"] = str(Path(kept["initialize_from"]).absolute())
+    return GroupRecord(
+        format=FORMAT,
+        deepbots=deepbots_cli.__version__,
+        scenario=compiled.program.name,
+        source=str(compiled.source),
+        seeds=tuple(seeds),
+        started=timestamp(),
+        retries=retries,
+        attempts=(RetryAttempt(),) if retries else (),
+        **kept,
+    )
 
 
 def resume_group(
@@ -242,6 +310,8 @@ def resume_group(
         UsageError: Another training uses the group, or a callback or logger does not exist.
     """
     known = Group.open(group)
+    if known.record.attempts:
+        raise UsageError(f"{known.path} is a group of `train --retry`; continue it with: deepbots train --resume {quote(str(known.path))}")
     given = {"total_timesteps": total_timesteps, "stop_when_solved": stop_when_solved}
     followers = {name: tuple(names) for name, names in (("callbacks", callbacks), ("loggers", loggers)) if names is not None}
     with run_lock(known.path):

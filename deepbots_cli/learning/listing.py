@@ -144,12 +144,16 @@ def _listed_group(path: Path) -> ListedRun:
     group = Group.open(path)
     runs = tuple(read_listed(run) for run in group.runs)
     readable = [run for run in runs if run.problem is None]
+    planned = len(group.folders)
+    if group.record.attempts:  # the best one stands for all
+        best = group.attempt(group.best_attempt)
+        readable = [run for run in readable if run.path == best]
     returns = [run.mean_return for run in readable if run.mean_return is not None]
     rates = [run.success_rate for run in readable if run.success_rate is not None]
     costs = [run.cpu_seconds for run in readable if run.cpu_seconds is not None]
     states = {run.state for run in runs}
     state: State = "training" if is_training(path) else "failed" if states & {"failed", "unreadable"} else "interrupted"
-    if state != "training" and states == {"finished"} and len(runs) == len(group.record.seeds):
+    if state != "training" and states == {"finished"} and len(runs) == planned:
         state = "finished"
     return ListedRun(
         path,

@@ -1,11 +1,11 @@
-"""Changes of the user's files: `fmt` and the fixes of `lint`, shown as a difference or written."""
+"""Changes of the user's files: `fmt` and the fixes of `lint`, shown as a difference or written, and values that were found by training."""
 
 from __future__ import annotations
 
 import os
 import sys
 from codecs import BOM_UTF8
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from difflib import unified_diff
 from io import StringIO
 from pathlib import Path
@@ -18,13 +18,15 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import option
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.diagnostics import Findings
-from deepbots_cli.document import files
-from deepbots_cli.document.layout import canonical_text
+from deepbots_cli.document import Permissions, files, shipped, to_data
+from deepbots_cli.document.layout import assigned_text, canonical_text
+from deepbots_cli.document.load import setting_path
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.lint.fixes import Rewrite
 from deepbots_cli.lint.settings import scenarios_in, settings
+from deepbots_cli.rollout.source import Source, SourceKind
 
 
 def fmt(
@@ -134,3 +136,33 @@ def write(rewrite: Rewrite) -> None:
         with path.open("r+b"):  # a file that its owner made read-only stays as it is, though its folder would let it be replaced
             pass
         draft.write_bytes(rewrite.after)
+
+
+def write_values(name: str, values: Mapping[str, str], comment: str, permissions: Permissions) -> Path:
+    """Write values into the file of a scenario, by the paths of their settings, with a comment on each of their lines.
+
+    Raises:
+        UsageError: The file comes with deepbots, or its text does not allow a change; nothing is written.
+    """
+    opened = Source.open(name, permissions, SourceKind.SCENARIO)
+    file = opened.path.resolve()
+    if any(file.is_relative_to(root.resolve()) for root in shipped.data_roots()):
+        raise UsageError(
+            f"{file.name} comes with deepbots; copy it with `deepbots new mine --from {file.stem}`, and name the copy: --apply mine.yaml"
+        )
+    before = after = files.read(file)
+    wanted = opened.document(overrides=[f"{path}={text}" for path, text in values.items()], tests=True)
+    for path, text in values.items():
+        document = opened.document(drafts={file: after})
+        root, source = document.root, document.files[file]
+        changed = None if root is None else assigned_text(root, source, setting_path(root, path), text, comment)
+        if changed is None:
+            raise UsageError(f"{file} cannot be changed by --apply; write {path}: {text} yourself")
+        after = (BOM_UTF8 if before.startswith(BOM_UTF8) else b"") + changed.encode()
+    written = opened.document(drafts={file: after})
+    if wanted.root is None or written.root is None or to_data(wanted.root) != to_data(written.root):
+        listed = ", ".join(f"{path}: {text}" for path, text in values.items())
+        raise UsageError(f"{file} cannot be changed by --apply; write the values yourself: {listed}")
+    with atomic_write(file) as draft:
+        draft.write_bytes(after)
+    return file

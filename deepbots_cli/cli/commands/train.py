@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.cli import exploits, processes, records, terminal
+from deepbots_cli.cli import exploits, processes, records, retries, terminal
 from deepbots_cli.cli.command import (
     ADVANCED,
     MAX_SEED,
@@ -36,7 +36,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.learning import report
-from deepbots_cli.learning.group import Group
+from deepbots_cli.learning.group import MAX_RETRIES, Group
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.processes import python_command, python_environment
@@ -71,6 +71,18 @@ def command(
     ] = None,
     run: Annotated[Path | None, option("--run DIR", "Directory to create for the run or group; by default a new one in ./runs.")] = None,
     resume: Annotated[Path | None, option("--resume RUN", "Continue the training of this run or group.")] = None,
+    retry: Annotated[
+        int | None,
+        integer(
+            "--retry N",
+            "If the task is not solved, train up to N times again, each time with a value under `train` that `diagnose` advises.",
+            1,
+            MAX_RETRIES,
+        ),
+    ] = None,
+    apply: Annotated[
+        bool, option("--apply", "With --resume of a group of --retry, write the values of its best training into the scenario file.")
+    ] = False,
     full: Annotated[bool, option("--full --no-stop", "Train for all timesteps, even if the task is solved earlier.")] = False,
     stage: Annotated[
         str | None, option("--stage NAME", "Begin with this stage of the curriculum; by default with the first.", ADVANCED)
@@ -132,6 +144,7 @@ def command(
       deepbots train cartpole.yaml --seed 1 --set fall_angle=10deg
       deepbots train cartpole --seeds 0..4 --workers 2
       deepbots train cartpole --timesteps 200k --full --run runs/long
+      deepbots train mine.yaml --retry 2
       deepbots train find_ball_random --stage crowded
       deepbots train find_ball --view
       deepbots train panda_push --teacher by_hand
@@ -157,11 +170,28 @@ def command(
     each in a process of its own; the runs are the same. If a process is lost, another one resumes its training. --resume of a group skips
     finished seeds.
 
+    --retry N trains an unsolved task up to N times again: a group of runs try-1, try-2, ... with the same seed. Each changes a value under
+    `train` that the most likely cause of the best run so far advises. It stops when a run is solved, or no other value is advised. The
+    scenario file stays as it is; --resume GROUP --apply FILE writes the values of the best run into FILE.
+
     Next: `deepbots view RUN` shows the policy, and `deepbots render RUN -o video.mp4` makes a video of it.
     """
     progress = not quiet
     if resume is not None:
+        source = Source.open(resume, permissions, SourceKind.RUN, SourceKind.GROUP)
         folders = permissions.folders or None
+        if retry is not None or apply or retries.of(source) is not None:
+            refused = (
+                *(overrides, seed, seeds, run, stage, engine, keep_checkpoints, initialize_from, shards, teacher),
+                *(timesteps, callbacks, loggers),
+            )
+            retries.refuse((*refused, full or None, to_view or None, *(() if apply else (scenario, folders))))
+            if apply:
+                retries.apply(source, scenario, permissions, as_json=as_json)
+                return
+            with _placement(workers, address, quiet=quiet) as placement:
+                retries.resume(source, retry, placement, quiet=quiet, as_json=as_json, permissions=permissions)
+            return
         made_with = (scenario, overrides, seed, seeds, run, stage, engine, folders, keep_checkpoints, initialize_from, shards, teacher)
         if any(option is not None for option in made_with):
             raise UsageError(
@@ -175,7 +205,7 @@ def command(
             from deepbots_cli.learning.sb3 import plugins  # which imports torch
 
             plugins.check(_names(callbacks) or (), _names(loggers) or ())
-        if Source.open(resume, permissions, SourceKind.RUN, SourceKind.GROUP).kind is SourceKind.GROUP:
+        if source.kind is SourceKind.GROUP:
             with processes.spread(workers, address, len(Group.open(resume).record.seeds), quiet=quiet) as spread:
                 group = learning.resume_group(resume, on_seed=None if quiet else _announce_seed, spread=spread, **changes)
                 _finish_group(group, spread, quiet=quiet, as_json=as_json, permissions=permissions)
@@ -183,13 +213,9 @@ def command(
         with _page(wanted=to_view, permissions=permissions) as show_page, _placement(workers, address, quiet=quiet) as placement:
             show_page(resume)
             result = learning.resume(resume, placement=placement, **changes)
-    elif scenario is None:
-        raise UsageError("there is no scenario to train; name one, such as: deepbots train cartpole")
-    elif seeds is not None and seed is not None:
-        raise UsageError("--seed and --seeds cannot be combined")
-    elif run is not None and run.exists():
-        raise UsageError(f"--run: {run} already exists; choose another directory, because runs are not overwritten")
     else:
+        retries.check(retry, apply=apply, other="--seeds" if seeds is not None else "--view" if to_view else None)
+        scenario = _checked_options(scenario, seed, seeds, run)
         listed = None if seeds is None else seed_list(seeds)
         undivided = [*with_engine(overrides, engine), *([] if teacher is None else [f"train.teacher={teacher}"])]
         changed = undivided if shards in (None, "auto") else [*undivided, f"train.shards={shards}"]
@@ -224,8 +250,23 @@ def command(
         with _page(wanted=to_view, permissions=permissions) as show_page, _placement(workers, address, quiet=quiet) as placement:
             if shards == "auto":
                 compiled = _with_fastest_shards(scenario, compiled, undivided, placement, seed or 0, permissions)
+            if retry is not None:
+                settings |= {"seed": seed or 0, "group": run, "placement": placement}
+                retries.train(compiled, retry, quiet=quiet, as_json=as_json, **settings)
+                return
             result = learning.train(compiled, run=run, seed=seed or 0, on_start=show_page, placement=placement, **settings)
     _finish(result, quiet=quiet, as_json=as_json, permissions=permissions)
+
+
+def _checked_options(scenario: str | None, seed: int | None, seeds: str | None, run: Path | None) -> str:
+    """The scenario of a new training. Raises: UsageError: There is none, or the options exclude one another."""
+    if scenario is None:
+        raise UsageError("there is no scenario to train; name one, such as: deepbots train cartpole")
+    if seeds is not None and seed is not None:
+        raise UsageError("--seed and --seeds cannot be combined")
+    if run is not None and run.exists():
+        raise UsageError(f"--run: {run} already exists; choose another directory, because runs are not overwritten")
+    return scenario
 
 
 def _checked_workers(
@@ -396,7 +437,7 @@ def _finish_group(group: GroupTraining, spread: Spread, *, quiet: bool, as_json:
     further.append(f"tensorboard --logdir {path}")
     data["cause"] = causes[0].as_json() if causes else None
     of = "" if worst is None else f" of {worst.run}, the worst of {len(unsolved)} unsolved seed{'s' * (len(unsolved) > 1)}"
-    terminal.show(data, "\n" + records.group_text(evaluation), *_cause_lines(causes, of), as_json=as_json, next_commands=further)
+    terminal.show(data, "\n" + records.group_text(evaluation), *retries.cause_lines(causes, of), as_json=as_json, next_commands=further)
     if group.failed:
         raise typer.Exit(FAILED)
 
@@ -423,7 +464,7 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: 
         further = [*dict.fromkeys(filter(None, [*commands, *further[:1], *further[2:]]))]
     data = {"training": result, "evaluation": found, "solved": solved, "cause": causes[0].as_json() if causes else None}
     text = "\n" + records.evaluation_text(evaluation, cases)
-    terminal.show(data, text, *_cause_lines(causes), as_json=as_json, next_commands=further)
+    terminal.show(data, text, *retries.cause_lines(causes), as_json=as_json, next_commands=further)
 
 
 def _causes(run: Path, *, quiet: bool, permissions: Permissions) -> list[Statement]:
@@ -435,12 +476,3 @@ def _causes(run: Path, *, quiet: bool, permissions: Permissions) -> list[Stateme
             return causes_after(run, permissions)
         except DeepbotsError:  # it has no finished episode, for example
             return []
-
-
-def _cause_lines(causes: Sequence[Statement], of: str = "") -> list[str]:
-    """The first cause, and what to do."""
-    if not causes:
-        return []
-    first, others = causes[0], len(causes) - 1
-    more = f" ({others} more: deepbots diagnose)" if others else ""
-    return [f"\nmost likely cause{of}{more}: {first.text}", f"try: {first.advice}"]

@@ -35,15 +35,11 @@ from deepbots_cli.cli.exits import INTERRUPTED
 from deepbots_cli.cli.records import interval_text
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.document import Permissions, files, shipped, to_data
-from deepbots_cli.document.layout import assigned_text
-from deepbots_cli.document.load import setting_path
+from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.study import Objective, Study, StudyReporter, StudyTrial, TrialProgress, create_study
 from deepbots_cli.learning.trials import run_study
-from deepbots_cli.rollout.source import Source, SourceKind
 
 _MAX_SHOWN = 10
 """Trials in the table; --json has all."""
@@ -331,31 +327,12 @@ def _apply(study: Study, name: str, permissions: Permissions, *, as_json: bool) 
     Raises:
         UsageError: No trial is complete, the file comes with deepbots, or its text does not allow a change.
     """
+    from deepbots_cli.cli.commands.rewriting import write_values  # which imports the rules of lint
+
     best = next(iter(study.ranked(study.trials())), None)
     if best is None:
         raise UsageError(f"{study.path} has no complete trial yet; continue it with: deepbots tune --resume {quote(str(study.path))}")
-    opened = Source.open(name, permissions, SourceKind.SCENARIO)
-    file = opened.path.resolve()
-    if any(file.is_relative_to(root.resolve()) for root in shipped.data_roots()):
-        raise UsageError(
-            f"{file.name} comes with deepbots; copy it with `deepbots new mine --from {file.stem}`, and name the copy: --apply mine.yaml"
-        )
-    before = after = files.read(file)
-    comment = f"tuned by {study.path.name}, trial {best.number}"
-    wanted = opened.document(overrides=best.assignments, tests=True)
-    for path, text in best.values.items():
-        document = opened.document(drafts={file: after})
-        root, source = document.root, document.files[file]
-        changed = None if root is None else assigned_text(root, source, setting_path(root, path), text, comment)
-        if changed is None:
-            raise UsageError(f"{file} cannot be changed by --apply; write {path}: {text} yourself")
-        after = (b"\xef\xbb\xbf" if before.startswith(b"\xef\xbb\xbf") else b"") + changed.encode()
-    written = opened.document(drafts={file: after})
-    if wanted.root is None or written.root is None or to_data(wanted.root) != to_data(written.root):
-        values = ", ".join(f"{path}: {text}" for path, text in best.values.items())
-        raise UsageError(f"{file} cannot be changed by --apply; write the values yourself: {values}")
-    with atomic_write(file) as draft:
-        draft.write_bytes(after)
+    file = write_values(name, best.values, f"tuned by {study.path.name}, trial {best.number}", permissions)
     data = {"file": file, "trial": best.number, "score": best.score, "values": best.values}
     rows = [{"key": path, "value": text} for path, text in best.values.items()]
     further = [f"deepbots lint {quote(str(name))}", f"deepbots train {quote(str(name))} --seeds {_unused_seeds(study)}"]

@@ -1,0 +1,275 @@
+"""Trainings that follow one another until one solves the task, each with the values under `train` that a diagnosis advises.
+
+    runs/cartpole-retry-1/
+    ├── group.json               the attempts so far: what was changed, and the sentence of the cause
+    ├── inputs/, resolved.yaml   the scenario, from which all attempts are trained
+    └── try-1/, try-2/ ...       their runs
+
+The next attempt begins with the values of the best one so far, and with the advice of its first cause that has a value which was not tried
+yet. All attempts have the seed of the first one, so that the values are their only difference, and all policies are evaluated on the same
+starts. An attempt that only trains longer is a copy of the run before, and continues it. What was decided is in `group.json` before it is
+trained, so a group whose process was killed continues with the same attempts.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple, Unpack
+
+from deepbots_cli import api
+from deepbots_cli.api import Compiled
+from deepbots_cli.compiler.inputs import write_copies
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import DeepbotsError, RunError, UsageError
+from deepbots_cli.insight.diagnosis import CERTAIN, TOTAL_TIMESTEPS, causes_after
+from deepbots_cli.insight.statements import Statement
+from deepbots_cli.insight.training import named_source
+from deepbots_cli.learning.group import MAX_RETRIES, Group, RetryAttempt, new_record
+from deepbots_cli.learning.report import Reporter, to_json
+from deepbots_cli.learning.run import (
+    Run,
+    RunRecord,
+    TrainingOptions,
+    TrainingResult,
+    changed_settings,
+    new_directory,
+    remove_incomplete,
+    run_lock,
+)
+from deepbots_cli.learning.shards import THIS_PROCESS, Placement
+from deepbots_cli.learning.verdict import RunVerdict, run_verdict
+from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
+
+OnAttempt = Callable[[Path, RetryAttempt], object]
+"""Called before an attempt is trained or continued, with the folder of its run."""
+OnEpisode = Callable[[int, int], None] | None
+_COPY = ".deepbots-copy"
+
+
+class Attempted(NamedTuple):
+    """The run of an attempt, and what it came to."""
+
+    path: Path
+    attempt: RetryAttempt
+    verdict: RunVerdict
+
+
+@dataclass(frozen=True)
+class RetriedTraining:
+    """What the attempts came to.
+
+    `best` is the number of the best one, from 1. `causes` are those of the best one, none where it is solved; `stopped_by` says why no
+    attempt follows.
+    """
+
+    group: Path
+    attempts: tuple[Attempted, ...]
+    best: int
+    solved: bool | None
+    interrupted: bool = False
+    causes: tuple[Statement, ...] = ()
+    stopped_by: str = ""
+
+
+def train_with_retries(
+    compiled: Compiled,
+    retries: int,
+    *,
+    seed: int = 0,
+    group: str | Path | None = None,
+    runs: str | Path = "runs",
+    progress: bool | Reporter = False,
+    placement: Placement = THIS_PROCESS,
+    on_attempt: OnAttempt | None = None,
+    on_episode: OnEpisode = None,
+    **options: Unpack[TrainingOptions],
+) -> RetriedTraining:
+    """Train a scenario, and up to `retries` times again with advised values, until an attempt solves it or no advice is left.
+
+    Args:
+        group: The folder to make; by default `runs/<scenario>-retry-<n>`.
+        on_attempt: Is called before each attempt.
+        on_episode: Is called after each episode of an evaluation, with its number and the number of all.
+        options: Those of `train`; the other arguments are as there, too.
+
+    Raises:
+        UsageError: The folder exists, or the settings are invalid for training.
+    """
+    if not 1 <= retries <= MAX_RETRIES:
+        raise UsageError(f"retries must be from 1 to {MAX_RETRIES}, not {retries}")
+    from deepbots_cli.learning.training import checked_settings  # which imports torch
+
+    checked_settings(compiled.program, [seed], **options)
+    if compiled.program.agent.solved is None and not compiled.program.defines_success:
+        name = compiled.program.name
+        raise UsageError(f"{name} does not say when it is solved; add `solved`, such as `solved: mean_return >= 100 over 100 episodes`")
+    path = new_directory(group, runs, compiled.program.name, "retry")
+    made = Group(path, new_record(compiled, [seed], options, retries))
+    try:
+        with run_lock(path):
+            write_copies(path, compiled.resolved, compiled.inputs)
+            made.write()
+            return _Retries(made, compiled.permissions, progress, placement, on_attempt, on_episode).run()
+    except (DeepbotsError, KeyboardInterrupt):
+        if not made.runs:  # nothing can be trained with these settings, or written there
+            shutil.rmtree(path, ignore_errors=True)
+        raise
+
+
+def resume_retries(
+    group: str | Path,
+    *,
+    retries: int | None = None,
+    progress: bool | Reporter = False,
+    permissions: Permissions = Permissions(),
+    placement: Placement = THIS_PROCESS,
+    on_attempt: OnAttempt | None = None,
+    on_episode: OnEpisode = None,
+) -> RetriedTraining:
+    """Continue a group of `train_with_retries`, or add `retries` to it.
+
+    Raises:
+        RunError: The folder is not such a group, or is damaged.
+        UsageError: Another training uses it.
+    """
+    known = Group.open(group)
+    if not known.record.attempts:
+        raise RunError(f"{known.path} is a group of seeds, not of `train --retry`")
+    with run_lock(known.path):
+        if retries is not None and retries != known.record.retries:
+            if not 1 <= retries <= MAX_RETRIES:
+                raise UsageError(f"retries must be from 1 to {MAX_RETRIES}, not {retries}")
+            known = Group(known.path, known.record.model_copy(update={"retries": retries}))
+            known.write()
+        return _Retries(known, permissions, progress, placement, on_attempt, on_episode).run()
+
+
+@dataclass
+class _Retries:
+    """The attempts of a group, in this process."""
+
+    group: Group
+    permissions: Permissions
+    progress: bool | Reporter
+    placement: Placement
+    on_attempt: OnAttempt | None
+    on_episode: OnEpisode
+
+    def run(self) -> RetriedTraining:
+        """Train, evaluate and diagnose until an attempt is solved, none is left, or no advice is."""
+        interrupted, causes, reason = False, list[Statement](), ""
+        while True:
+            number = len(self.group.record.attempts)
+            try:
+                result = self._train(number)
+            except DeepbotsError as error:  # such as a training that diverges with the advised values
+                if number == 1:
+                    raise
+                reason = f"try-{number} failed: {error.full_message}"
+                break
+            interrupted = result is not None and result.stop_requested
+            if interrupted:
+                break
+            if self._evaluated(number).solved:
+                break
+            best = self.group.best_attempt
+            causes = causes_after(self.group.attempt(best), self.permissions)
+            following = next_attempt(causes, self.group.record.attempts, best)
+            if following is None:
+                reason = "no other value under `train` is advised" if causes else "no cause was found"
+                break
+            if number > self.group.record.retries:
+                break
+            self.group = Group(self.group.path, self.group.record.model_copy(update={"attempts": (*self.group.record.attempts, following)}))
+            self.group.write()
+        return self._result(interrupted=interrupted, causes=causes, reason=reason)
+
+    def _train(self, number: int) -> TrainingResult | None:
+        """Train an attempt or continue it; None if it was trained before."""
+        from deepbots_cli.learning.training import resume, train  # which imports torch
+
+        record, path, attempt = self.group.record, self.group.attempt(number), self.group.record.attempts[number - 1]
+        base = record.attempts[attempt.base - 1].settings if attempt.base else {}
+        total = attempt.settings.get(TOTAL_TIMESTEPS)
+        is_longer = bool(attempt.base) and {name for name in attempt.settings if attempt.settings[name] != base.get(name)} == {
+            TOTAL_TIMESTEPS
+        }
+        if is_longer and folder_kind(path) is not SourceKind.RUN:
+            self._copy(self.group.attempt(attempt.base), path)
+        steps = None if total is None else int(total)
+        if folder_kind(path) is SourceKind.RUN:
+            known = RunRecord.read(path)
+            if known.status == "finished" and known.total_timesteps >= (steps or 0):
+                return None
+            self._announce(number, attempt)
+            longer = steps if steps is not None and known.total_timesteps < steps else None
+            return resume(path, total_timesteps=longer, permissions=self.permissions, progress=self.progress, placement=self.placement)
+        remove_incomplete(path)
+        self._announce(number, attempt)
+        options: dict[str, Any] = record.options | ({} if total is None else {"total_timesteps": None})
+        options["command"] = self._command(attempt)
+        compiled = replace(self._compiled(attempt), source=Path(record.source), permissions=self.permissions)
+        return train(compiled, run=path, seed=record.seeds[0], progress=self.progress, placement=self.placement, **options)
+
+    def _announce(self, number: int, attempt: RetryAttempt) -> None:
+        if self.on_attempt is not None:
+            self.on_attempt(self.group.attempt(number), attempt)
+
+    def _compiled(self, attempt: RetryAttempt) -> Compiled:
+        return api.compile(Source.kept(self.group.path, kind=SourceKind.GROUP), overrides=attempt.assignments)
+
+    def _command(self, attempt: RetryAttempt) -> list[str]:
+        """The command line of the group with the values of an attempt, for its record."""
+        record = self.group.record
+        others = [text for text in changed_settings(record.command) if text.partition("=")[0] not in attempt.settings]
+        words = ["deepbots", "train", named_source(record.source), "--seed", str(record.seeds[0])]
+        return [*words, *(word for text in (*others, *attempt.assignments) for word in ("--set", text))]
+
+    def _copy(self, source: Path, target: Path) -> None:
+        """A copy of a run, whole or not at all."""
+        draft = target.with_name(f"{_COPY}-{target.name}")
+        shutil.rmtree(draft, ignore_errors=True)
+        try:
+            shutil.copytree(source, draft, ignore=shutil.ignore_patterns(".lock"))
+            draft.rename(target)
+        except OSError as error:
+            shutil.rmtree(draft, ignore_errors=True)
+            raise RunError(f"{target} cannot be written: {error.strerror or error}") from error
+
+    def _evaluated(self, number: int) -> RunVerdict:
+        """The verdict about an attempt, which is evaluated unless it was."""
+        from deepbots_cli.learning.evaluation import evaluate  # which imports torch
+
+        run = Run.open(self.group.attempt(number))
+        if run_verdict(run.path, run.record).evaluation is None:
+            run.write_evaluation(to_json(evaluate(run, permissions=self.permissions, on_episode=self.on_episode)))
+        return run_verdict(run.path, run.record)
+
+    def _result(self, *, interrupted: bool, causes: Sequence[Statement], reason: str) -> RetriedTraining:
+        attempts = []
+        for number, attempt in enumerate(self.group.record.attempts, start=1):
+            path = self.group.attempt(number)
+            is_run = folder_kind(path) is SourceKind.RUN
+            verdict = run_verdict(path, RunRecord.read(path)) if is_run else RunVerdict(None, None)
+            attempts.append(Attempted(path, attempt, verdict))
+        best = self.group.best_attempt
+        solved = attempts[best - 1].verdict.solved
+        return RetriedTraining(self.group.path, tuple(attempts), best, solved, interrupted, () if solved else tuple(causes), reason)
+
+
+def next_attempt(causes: Sequence[Statement], attempts: Sequence[RetryAttempt], best: int) -> RetryAttempt | None:
+    """The attempt that the causes of the best one so far advise, the most likely first; None if all of their values were tried.
+
+    Behind a cause that is certain and asks for something else than values under `train`, other causes are no reason to train again.
+    """
+    tried = [dict(attempt.settings) for attempt in attempts]
+    for cause in causes:
+        settings = {**attempts[best - 1].settings, **cause.settings}
+        if cause.settings and settings not in tried:
+            return RetryAttempt(settings=settings, base=best, cause=cause.cause, text=cause.text)
+        if not cause.settings and cause.evidence["likelihood"] >= CERTAIN:
+            return None
+    return None
