@@ -96,7 +96,7 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
     causes = CAUSES
     if learned:  # starts that fail are of interest where the scenario does not say how many may
         starts = (some_starts_fail,) if training.run.program.agent.solved is None else ()
-        causes = (*starts, *((exploration_too_large,) if learned == "evaluated" else ()))
+        causes = (stopped_early, *starts, *((exploration_too_large,) if learned == "evaluated" else ()))
     found = sorted(statements_about(causes, training), key=lambda each: -each.evidence["likelihood"])
     unlikely = [statement for statement in found if statement.evidence["likelihood"] < CERTAIN]
     left_out = (_SYMPTOMS if len(unlikely) < len(found) else set()) | (set() if training.is_mature else _PROVISIONAL_CAUSES)
@@ -112,7 +112,7 @@ def causes_after(run: Path, permissions: Permissions = Permissions()) -> list[St
     """The causes of a training that has ended unsolved, from its files and a few seconds of short episodes; nothing is written."""
     training = read_training(Run.open(run))
     if has_learned(training):
-        return []
+        return [] if training.verdict.solved is not False else diagnose(training)
     run_probes(training, permissions=permissions, seconds=QUICK_SECONDS)
     return diagnose(training)
 
@@ -363,11 +363,9 @@ def learning_rate_too_high(t: TrainingEvidence) -> Numbers | None:
 
     Try: Set `train.learning_rate` to {usual}.
     """
-    rate, training = t.number_setting("learning_rate"), t.program.agent.training
-    if rate is None or training is None:
+    rate, usual = t.number_setting("learning_rate"), _usual_rate(t)
+    if rate is None:
         return None
-    known: Any = default_values(training, t.run.record.total_timesteps, longest_episode(t.program)).get("learning_rate")
-    usual = float(known) if isinstance(known, int | float) else 3e-4  # of the library
     clipped, kl = (float(t.curve(f"train/{name}").max(initial=0.0)) for name in ("clip_fraction", "approx_kl"))
     times = rate / usual
     if not (((clipped >= 0.5 or kl >= 0.3) and times > 2) or times >= 20):
@@ -376,6 +374,32 @@ def learning_rate_too_high(t: TrainingEvidence) -> Numbers | None:
     return {"likelihood": 0.93 if times >= 20 else 0.75 if times > 5 else 0.5, "rate": rate, "usual": usual, "times": times,
             "clipped": Percentage(clipped), "kl": kl, "first": first, "last": last,
             "settings": {"train.learning_rate": f"{usual:g}"}}  # fmt: skip
+
+
+def _usual_rate(t: TrainingEvidence) -> float:
+    """The default learning rate, of deepbots or the library."""
+    training = t.program.agent.training
+    known: Any = None if training is None else default_values(training, t.run.record.total_timesteps, longest_episode(t.program))
+    found = (known or {}).get("learning_rate")
+    return float(found) if isinstance(found, int | float) else 3e-4  # of the library
+
+
+def learning_rate_too_low(t: TrainingEvidence) -> Numbers | None:
+    """The learning rate is {rate}, {times} times lower than the usual {usual}: after {steps} steps, the mean return went only from {first}
+    to {last}{divergence}.
+
+    Try: Set `train.learning_rate` to {usual}.
+    """
+    rate, usual, kl = t.number_setting("learning_rate"), _usual_rate(t), t.curve("train/approx_kl")
+    if not rate or len(t.episodes) < 2 * MIN_EPISODES or returns_rise(t) is not None:
+        return None
+    # In an update of PPO with a usual rate, the KL divergence is about 0.01.
+    if usual < 10 * rate or (kl.max() > 1e-3 if len(kl) else usual < 50 * rate):
+        return None
+    first, last = (float(t.episodes_between(*ends).returns.mean()) for ends in ((0.0, 0.25), (0.75, 1.0)))
+    divergence = f", and the largest KL divergence of an update is {kl.max():.2g}" if len(kl) else ""
+    return {"likelihood": 0.93, "rate": rate, "usual": usual, "times": usual / rate, "steps": t.steps, "first": first, "last": last,
+            "divergence": divergence, "settings": {"train.learning_rate": f"{usual:g}"}}  # fmt: skip
 
 
 def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
@@ -527,6 +551,19 @@ def one_ending(t: TrainingEvidence) -> Numbers | None:
     return {"likelihood": 0.25, "ending": name, "share": Percentage(share), "episodes": len(late), "length": float(late.lengths.mean())}
 
 
+def stopped_early(t: TrainingEvidence) -> Numbers | None:
+    """The training stopped after {steps} of {planned} steps, when its episodes and an evaluation had met `solved`. The evaluation after it,
+    of more episodes, does not meet it: {result}.
+
+    Try: {advice}
+    """
+    result = t.run.record.result
+    if result is None or result.solved_at is None or t.is_running or t.verdict.solved is not False or t.verdict.evaluation is None:
+        return None
+    length = _length(t, t.run.record.total_timesteps)
+    return {**length, "likelihood": 0.9, "planned": t.run.record.total_timesteps, "result": t.verdict.evaluation.text}
+
+
 def too_few_steps(t: TrainingEvidence) -> Numbers | None:
     """{finding}. The training has made {steps} steps in {episodes} episodes; the scenario sets {planned} steps.
 
@@ -545,9 +582,9 @@ def too_few_steps(t: TrainingEvidence) -> Numbers | None:
     return {**length, "likelihood": 0.5, "finding": "The training is short"}
 
 
-def _length(t: TrainingEvidence) -> dict[str, Any]:
-    """How long a training is, and how to train on."""
-    more = max(t.planned, longer_goal(t.steps))
+def _length(t: TrainingEvidence, planned: int = 0) -> dict[str, Any]:
+    """How long a training is, and how to train on: to the `planned` steps if they are more than 1.1 times as many, else further."""
+    more = planned if planned > 1.1 * t.steps else max(t.planned, longer_goal(t.steps))
     advice = f"Continue the training: deepbots train --resume {quote(str(t.run.path))} --timesteps {more:_}"
     if t.is_running:
         advice = f"Let it run: {t.steps:,} of {t.run.record.total_timesteps:,} steps have been made."
@@ -558,8 +595,8 @@ def _length(t: TrainingEvidence) -> dict[str, Any]:
 CAUSES: tuple[StatementRule[TrainingEvidence], ...] = (
     ending_at_reset, not_finite, action_without_effect, ending_at_once, lint_warns, sensor_without_reading, constant_observation,
     saturated_observation, term_dominates, ending_early_pays, standing_still_pays, loitering, stage_too_hard, easy_stage_counted,
-    some_starts_fail, reward_apart_from_success, stuck_in_stage, success_never_seen, silent_terms, learning_rate_too_high,
-    exploration_hides_success, exploration_delays_stage, exploration_too_large, exploration_collapsed, success_plateau, one_ending,
-    too_few_steps,
+    some_starts_fail, reward_apart_from_success, stuck_in_stage, success_never_seen, silent_terms,
+    learning_rate_too_high, learning_rate_too_low, exploration_hides_success, exploration_delays_stage, exploration_too_large,
+    exploration_collapsed, success_plateau, one_ending, stopped_early, too_few_steps,
 )  # fmt: skip
 """Why a training does not learn."""

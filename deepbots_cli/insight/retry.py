@@ -199,13 +199,13 @@ class _Retries:
         }
         if is_longer and folder_kind(path) is not SourceKind.RUN:
             self._copy(self.group.attempt(attempt.base), path)
-        steps = None if total is None else int(total)
         if folder_kind(path) is SourceKind.RUN:
             known = RunRecord.read(path)
-            if known.status == "finished" and known.total_timesteps >= (steps or 0):
+            is_copy = is_longer and len(known.resumed_at) == len(RunRecord.read(self.group.attempt(attempt.base)).resumed_at)
+            if known.status == "finished" and not is_copy:
                 return None
             self._announce(number, attempt)
-            longer = steps if steps is not None and known.total_timesteps < steps else None
+            longer = int(total) if is_copy and total is not None else None
             return resume(path, total_timesteps=longer, permissions=self.permissions, progress=self.progress, placement=self.placement)
         remove_incomplete(path)
         self._announce(number, attempt)

@@ -261,8 +261,8 @@ def training_command(run: Run, assignments: Sequence[str]) -> list[str]:
     if training is not None and record.total_timesteps != training.total_timesteps and "train.total_timesteps" not in settings:
         words += ["--timesteps", str(record.total_timesteps)]
     words += [word for path, value in settings.items() for word in ("--set", f"{path}={value}")]
-    own = run.program.engine
-    words += [] if record.engine == engine_kinds.chosen(own) else ["--engine", record.engine]
+    is_given = any(word.partition("=")[0] == "--engine" for word in record.command)
+    words += ["--engine", record.engine] if is_given or record.engine != engine_kinds.chosen(run.program.engine) else []
     words += [] if record.first_stage is None else ["--stage", record.first_stage]
     words += [] if record.stop_when_solved else ["--full"]
     return [*words, *(["--allow-code"] if "--allow-code" in record.command else [])]

@@ -26,8 +26,9 @@ from deepbots_cli.insight.statements import statements_about
 from deepbots_cli.insight.trace import TraceRecorder, trace_episodes
 from deepbots_cli.insight.training import TrainingEvidence, read_training, run_probes
 from deepbots_cli.learning import train
+from deepbots_cli.learning.episodes import SolvedAt
 from deepbots_cli.learning.group import GroupRecord
-from deepbots_cli.learning.run import Run, run_lock
+from deepbots_cli.learning.run import EvaluationRecord, Run, run_lock
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes
 from deepbots_cli.rollout import Episode
 from tests.insight.broken import BROKEN, all_causes
@@ -267,6 +268,36 @@ def test_action_noise_of_zero_is_raised_to_a_number_above_zero(tmp_path):
     (found,) = [each for each in collapsed if each.cause == "exploration_collapsed"]
     assert "aise `train.action_noise.sigma` from 0 to 0.3" in found.advice
     assert found.settings == {"train.action_noise.sigma": "0.3"}
+
+
+def test_a_learning_rate_that_is_far_too_low_is_not_told_to_train_on(tmp_path):
+    run = _shuttle(tmp_path, "train.learning_rate=1e-5")
+    flat = _returns(np.zeros(400), 0)
+    first = diagnose(_logs(run, flat, np.full(400, 60), train__approx_kl=[1e-7] * 20))[0]
+    assert (first.cause, first.settings) == ("learning_rate_too_low", {"train.learning_rate": "0.003"})
+    assert "300 times lower than the usual 0.003" in first.text
+    assert "learning_rate_too_low" not in _causes(_logs(run, flat, np.full(400, 60), train__approx_kl=[0.01] * 20))
+    rising = _logs(run, _returns(np.zeros(400), 0, 9), np.full(400, 60), train__approx_kl=[1e-7] * 20)
+    assert "learning_rate_too_low" not in _causes(rising)
+
+
+def test_a_training_that_stopped_by_luck_is_continued_to_its_planned_steps(carriage):
+    """Its episodes and an evaluation met `solved`, 100 further episodes did not: it was given no cause at all."""
+    training = _logs(carriage, _returns(np.ones(400), 0), np.full(400, 60), success=1.0)
+    record = training.run.record
+    met = SolvedAt(episode=200, steps=12_000, simulated_hours=1.0, cpu_seconds=1.0, mean_return=4.0, success_rate=1.0)
+    training.run.record = record.model_copy(
+        update={"total_timesteps": 48_000, "result": record.result.model_copy(update={"solved_at": met, "steps": 24_000})}
+    )
+    evaluation = EvaluationRecord(
+        evaluated="2026-01-01T00:00:00+00:00", model="best", seed=0, episodes=100, mean_return=4.0, return_interval=None,
+        success_defined=True, success_rate=0.87, success_interval=(0.79, 0.92), solved=False,
+    )  # fmt: skip
+    (found,) = diagnose(replace(training, verdict=RunVerdict(False, evaluation)))
+    assert (found.cause, found.settings) == ("stopped_early", {"train.total_timesteps": "48_000"})
+    assert found.command == f"deepbots train --resume {carriage} --timesteps 48_000"
+    assert "success rate 87.0% (95 % interval 79.0% .. 92.0%)" in found.text
+    assert diagnose(replace(training, verdict=RunVerdict(True, evaluation))) == []
 
 
 def test_a_stage_that_exploration_prolonged_is_named(staged):
