@@ -98,19 +98,25 @@ def _show(begin: Callable[..., RetriedTraining], *, quiet: bool, as_json: bool) 
     if found.interrupted:
         further = [f"deepbots train --resume {group}"]
     elif not found.solved:
-        further = [*(cause.command for cause in found.causes[:1]), f"deepbots diagnose {path}", f"deepbots report {group}"]
+        further = [*(cause.command for cause in found.causes[:1]), f"deepbots diagnose {group}", f"deepbots report {group}"]
     data = {
         "group": found.group,
-        "attempts": [{**_row(each), **vars(each.attempt), "run": each.path} for each in found.attempts],
+        "attempts": [_data(each) for each in found.attempts],
         "best": found.best,
         "solved": found.solved,
         "interrupted": found.interrupted,
         "cause": found.causes[0].as_json() if found.causes else None,
     }
     causes = () if found.interrupted else found.causes
-    terminal.show(data, *lines, *cause_lines(causes, f" of {best.path.name}"), as_json=as_json, next_commands=further)
+    terminal.show(data, *lines, *cause_lines(causes, f" of try-{found.diagnosed}"), as_json=as_json, next_commands=further)
     if found.interrupted:
         raise typer.Exit(INTERRUPTED)
+
+
+def _data(found: Attempted) -> dict[str, Any]:
+    evaluation = found.verdict.evaluation
+    scores = {name: getattr(evaluation, name, None) for name in ("mean_return", "success_rate")}
+    return {"run": found.path, **vars(found.attempt), **scores, "solved": found.verdict.solved}
 
 
 def _row(found: Attempted) -> Row:

@@ -5,10 +5,11 @@
     ├── inputs/, resolved.yaml   the scenario, from which all attempts are trained
     └── try-1/, try-2/ ...       their runs
 
-The next attempt begins with the values of the best one so far, and with the advice of its first cause that has a value which was not tried
-yet. All attempts have the seed of the first one, so that the values are their only difference, and all policies are evaluated on the same
-starts. An attempt that only trains longer is a copy of the run before, and continues it. What was decided is in `group.json` before it is
-trained, so a group whose process was killed continues with the same attempts.
+The next attempt begins with the values of the last one, or of the best one if the last one is clearly worse, and with the advice of its
+first cause that has a value which was not tried yet. All attempts have the seed of the first one, so that the values are their only
+difference, and all policies are evaluated on the same starts. An attempt that only trains longer is a copy of the run before, and
+continues it. What was decided is in `group.json` before it is trained, so a group whose process was killed continues with the same
+attempts.
 """
 
 from __future__ import annotations
@@ -61,14 +62,15 @@ class Attempted(NamedTuple):
 class RetriedTraining:
     """What the attempts came to.
 
-    `best` is the number of the best one, from 1. `causes` are those of the best one, none where it is solved; `stopped_by` says why no
-    attempt follows.
+    `best` is the number of the best one, from 1. `diagnosed` is the one that was diagnosed last, `causes` are those of its causes whose
+    values were not tried; none where the task is solved. `stopped_by` says why no attempt follows.
     """
 
     group: Path
     attempts: tuple[Attempted, ...]
     best: int
     solved: bool | None
+    diagnosed: int = 0
     interrupted: bool = False
     causes: tuple[Statement, ...] = ()
     stopped_by: str = ""
@@ -160,7 +162,7 @@ class _Retries:
 
     def run(self) -> RetriedTraining:
         """Train, evaluate and diagnose until an attempt is solved, none is left, or no advice is."""
-        interrupted, causes, reason = False, list[Statement](), ""
+        interrupted, causes, base, reason = False, list[Statement](), 0, ""
         while True:
             number = len(self.group.record.attempts)
             try:
@@ -176,8 +178,9 @@ class _Retries:
             if self._evaluated(number).solved:
                 break
             best = self.group.best_attempt
-            causes = causes_after(self.group.attempt(best), self.permissions)
-            following = next_attempt(causes, self.group.record.attempts, best)
+            base = best if _is_worse(self.group.attempt_verdict(number), self.group.attempt_verdict(best)) else number
+            causes = untried(causes_after(self.group.attempt(base), self.permissions), self.group.record.attempts, base)
+            following = next_attempt(causes, self.group.record.attempts, base)
             if following is None:
                 reason = "no other value under `train` is advised" if causes else "no cause was found"
                 break
@@ -185,7 +188,7 @@ class _Retries:
                 break
             self.group = Group(self.group.path, self.group.record.model_copy(update={"attempts": (*self.group.record.attempts, following)}))
             self.group.write()
-        return self._result(interrupted=interrupted, causes=causes, reason=reason)
+        return self._result(diagnosed=base, interrupted=interrupted, causes=causes, reason=reason)
 
     def _train(self, number: int) -> TrainingResult | None:
         """Train an attempt or continue it; None if it was trained before."""
@@ -248,28 +251,39 @@ class _Retries:
             run.write_evaluation(to_json(evaluate(run, permissions=self.permissions, on_episode=self.on_episode)))
         return run_verdict(run.path, run.record)
 
-    def _result(self, *, interrupted: bool, causes: Sequence[Statement], reason: str) -> RetriedTraining:
-        attempts = []
-        for number, attempt in enumerate(self.group.record.attempts, start=1):
-            path = self.group.attempt(number)
-            is_run = folder_kind(path) is SourceKind.RUN
-            verdict = run_verdict(path, RunRecord.read(path)) if is_run else RunVerdict(None, None)
-            attempts.append(Attempted(path, attempt, verdict))
-        best = self.group.best_attempt
+    def _result(self, *, diagnosed: int, interrupted: bool, causes: Sequence[Statement], reason: str) -> RetriedTraining:
+        group, best = self.group, self.group.best_attempt
+        known = enumerate(group.record.attempts, start=1)
+        attempts = tuple(Attempted(group.attempt(number), attempt, group.attempt_verdict(number)) for number, attempt in known)
         solved = attempts[best - 1].verdict.solved
-        return RetriedTraining(self.group.path, tuple(attempts), best, solved, interrupted, () if solved else tuple(causes), reason)
+        return RetriedTraining(group.path, attempts, best, solved, diagnosed, interrupted, () if solved else tuple(causes), reason)
 
 
-def next_attempt(causes: Sequence[Statement], attempts: Sequence[RetryAttempt], best: int) -> RetryAttempt | None:
-    """The attempt that the causes of the best one so far advise, the most likely first; None if all of their values were tried.
+def _is_worse(verdict: RunVerdict, other: RunVerdict) -> bool:
+    """Whether an evaluation is clearly worse: the intervals of success rate, or else of mean return, have nothing in common."""
+    one, best = verdict.evaluation, other.evaluation
+    if one is None or best is None:
+        return one is None
+    pairs = ((one.success_interval, best.success_interval), (one.return_interval, best.return_interval))
+    interval, higher = next(((a, b) for a, b in pairs if a is not None and b is not None and a != b), (None, None))
+    return interval is not None and higher is not None and interval[1] < higher[0]
+
+
+def untried(causes: Sequence[Statement], attempts: Sequence[RetryAttempt], base: int) -> list[Statement]:
+    """The causes of an attempt without those whose values an attempt has had already."""
+    tried = [dict(attempt.settings) for attempt in attempts]
+    return [cause for cause in causes if not cause.settings or {**attempts[base - 1].settings, **cause.settings} not in tried]
+
+
+def next_attempt(causes: Sequence[Statement], attempts: Sequence[RetryAttempt], base: int) -> RetryAttempt | None:
+    """The attempt that the causes of the attempt `base` advise, the most likely first; None if they advise no other value.
 
     Behind a cause that is certain and asks for something else than values under `train`, other causes are no reason to train again.
     """
-    tried = [dict(attempt.settings) for attempt in attempts]
-    for cause in causes:
-        settings = {**attempts[best - 1].settings, **cause.settings}
-        if cause.settings and settings not in tried:
-            return RetryAttempt(settings=settings, base=best, cause=cause.cause, text=cause.text)
-        if not cause.settings and cause.evidence["likelihood"] >= CERTAIN:
+    for cause in untried(causes, attempts, base):
+        if cause.settings:
+            settings = {**attempts[base - 1].settings, **cause.settings}
+            return RetryAttempt(settings=settings, base=base, cause=cause.cause, text=cause.text)
+        if cause.evidence["likelihood"] >= CERTAIN:
             return None
     return None

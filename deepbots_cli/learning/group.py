@@ -168,19 +168,23 @@ class Group:
         """The folders of the runs that have begun, in the order of the seeds or attempts."""
         return [folder for folder in self.folders if folder_kind(folder) is SourceKind.RUN]
 
+    def attempt_verdict(self, number: int) -> RunVerdict:
+        """The verdict about an attempt. Raises: RunError: Its record is damaged."""
+        folder = self.attempt(number)
+        return run_verdict(folder, RunRecord.read(folder)) if folder_kind(folder) is SourceKind.RUN else RunVerdict(None, None)
+
     @property
     def best_attempt(self) -> int:
-        """The number of the attempt with the best evaluation: solved, then by success rate and mean return; of equals the first one.
+        """The number of the attempt with the best evaluation: solved, then by success rate and mean return; of equals the last one.
 
         Raises:
             RunError: A record is damaged.
         """
 
-        def rank(number: int) -> tuple[bool, float, float]:
-            folder = self.attempt(number)
-            verdict = run_verdict(folder, RunRecord.read(folder)) if folder_kind(folder) is SourceKind.RUN else RunVerdict(None, None)
+        def rank(number: int) -> tuple[bool, float, float, int]:
+            verdict = self.attempt_verdict(number)
             found = verdict.evaluation
-            return (verdict.solved is True, *((found.success_rate or 0.0, found.mean_return) if found else (0.0, -math.inf)))
+            return (verdict.solved is True, *((found.success_rate or 0.0, found.mean_return) if found else (0.0, -math.inf)), number)
 
         return max(range(1, len(self.record.attempts) + 1), key=rank)
 

@@ -15,12 +15,13 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.insight.report import Report
-from deepbots_cli.insight.retry import next_attempt, resume_retries, train_with_retries
+from deepbots_cli.insight.retry import _is_worse, next_attempt, resume_retries, train_with_retries
 from deepbots_cli.insight.statements import Statement
 from deepbots_cli.learning.comparison import evaluate_group
 from deepbots_cli.learning.group import Group, RetryAttempt, resume_group
 from deepbots_cli.learning.listing import list_runs
-from deepbots_cli.learning.run import RunRecord
+from deepbots_cli.learning.run import EvaluationRecord, RunRecord
+from deepbots_cli.learning.verdict import RunVerdict
 
 SCENARIO = """\
 deepbots: 1
@@ -92,6 +93,19 @@ def test_advice_that_was_tried_is_not_tried_again():
     assert next_attempt(causes, [first, lower], 2).settings == {"a": "1", "b": "2"}
     certain = [cause("reward", 0.95), *causes]  # what the reward lacks, no value under `train` gives
     assert next_attempt(certain, [first], 1) is None
+
+
+def test_an_attempt_that_is_clearly_worse_is_left_for_the_best_one():
+    def verdict(*interval: float) -> RunVerdict:
+        evaluation = EvaluationRecord(
+            evaluated="", model="best", seed=0, episodes=100, mean_return=0.0, return_interval=None, success_defined=True,
+            success_rate=sum(interval) / 2, success_interval=interval, solved=False,
+        )  # fmt: skip
+        return RunVerdict(False, evaluation)
+
+    assert _is_worse(verdict(0.1, 0.2), verdict(0.3, 0.5))
+    assert not _is_worse(verdict(0.1, 0.35), verdict(0.3, 0.5))
+    assert _is_worse(RunVerdict(None, None), verdict(0.3, 0.5))
 
 
 def test_the_report_of_the_group_names_what_each_attempt_changed_and_why(retried):

@@ -171,7 +171,7 @@ def command(
     finished seeds.
 
     --retry N trains an unsolved task up to N times again: a group of runs try-1, try-2, ... with the same seed. Each changes a value under
-    `train` that the most likely cause of the best run so far advises. It stops when a run is solved, or no other value is advised. The
+    `train` that the most likely cause of the run before advises. It stops when a run is solved, or no other value is advised. The
     scenario file stays as it is; --resume GROUP --apply FILE writes the values of the best run into FILE.
 
     Next: `deepbots view RUN` shows the policy, and `deepbots render RUN -o video.mp4` makes a video of it.
@@ -436,6 +436,7 @@ def _finish_group(group: GroupTraining, spread: Spread, *, quiet: bool, as_json:
     further = [f"deepbots eval {path} --csv {quote(f'{group.group.name}.csv')}", f"deepbots compare {path} OTHER_GROUP"]
     further.append(f"tensorboard --logdir {path}")
     data["cause"] = causes[0].as_json() if causes else None
+    further = [*(cause.command for cause in causes[:1]), *further]
     of = "" if worst is None else f" of {worst.run}, the worst of {len(unsolved)} unsolved seed{'s' * (len(unsolved) > 1)}"
     terminal.show(data, "\n" + records.group_text(evaluation), *retries.cause_lines(causes, of), as_json=as_json, next_commands=further)
     if group.failed:
