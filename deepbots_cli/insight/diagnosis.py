@@ -32,6 +32,7 @@ from deepbots_cli.insight.stages import (
     criterion_text,
     easy_stage_counted,
     hides_success,
+    needs_exploration,
     plateau,
     some_starts_fail,
     stage_too_hard,
@@ -76,6 +77,10 @@ _UNLEARNABLE = {"DB705", "DB708", "DB711", "DB807", "DB810"}
 reach."""
 CERTAIN, _SYMPTOMS = 0.9, {"too_few_steps", "one_ending", "success_plateau"}
 """Beside a cause that is as likely as this, the length of the training, its most frequent ending and a flat success are no causes."""
+_LARGE_RETURN = 1000.0
+"""Absolute mean returns from which on a critic of the usual learning rate falls behind: CartPole with 1000 for each step is not learned."""
+_HIDDEN = 6.0
+"""Steps in units of 1 / (1 - gamma) after which a reward has less than 0.3 % of its weight."""
 _PROVISIONAL_CAUSES = {"success_never_seen", "silent_terms", "one_ending", "exploration_too_large"}
 """What may still change in a training or a stage that is young: a cause only once it is mature, or if it is certain."""
 
@@ -402,6 +407,41 @@ def learning_rate_too_low(t: TrainingEvidence) -> Numbers | None:
             "divergence": divergence, "settings": {"train.learning_rate": f"{usual:g}"}}  # fmt: skip
 
 
+def rewards_too_large(t: TrainingEvidence) -> Numbers | None:
+    """The rewards are too large for the critic: the mean return of late episodes is {late}, and the critic explains {explained} of the
+    variance of the returns. Gradients have a limit, which the critic then takes up alone.
+
+    Try: Set `train.normalize` to `reward`, which divides rewards by their standard deviation for learning only, or scale all terms down.
+    """
+    training, explained = t.program.agent.training, t.curve("train/explained_variance")
+    if training is None or training.normalize == "reward" or len(explained) < MIN_EPISODES or len(t.episodes) < 2 * MIN_EPISODES:
+        return None
+    late, median = t.episodes_between(0.75, 1.0).returns, float(np.median(explained[-max(1, len(explained) // 4) :]))
+    if median > 0.3 or np.abs(late).mean() < _LARGE_RETURN:
+        return None
+    return {"likelihood": 0.91, "late": float(late.mean()), "explained": Percentage(max(0.0, median)),
+            "settings": {"train.normalize": "reward"}}  # fmt: skip
+
+
+def horizon_too_short(t: TrainingEvidence) -> Numbers | None:
+    """The discount factor {gamma} hides what comes late: after {length} steps, {of}, a reward has {weight} of its weight.
+
+    Try: Set `train.gamma` to {wanted}.
+    """
+    gamma, won = t.number_setting("gamma"), t.episodes.lengths[t.episodes.successes > 0]
+    if gamma is None or gamma >= 1.0:
+        return None
+    seen = len(won) >= MIN_EPISODES
+    length = float(np.median(won)) if seen else float(t.program.truncation.max_episode_steps(t.program.period))
+    if length * (1.0 - gamma) < _HIDDEN:
+        return None
+    wanted = min(0.999, round(1.0 - 3.0 / length, 3))  # a weight of 5 %
+    # A factor that is far too small; else rewards on the way may do.
+    return {"likelihood": 0.915 if length * (1.0 - gamma) > 5 * _HIDDEN else 0.45, "gamma": gamma, "length": round(length),
+            "of": "the median of the successes" if seen else "the limit of an episode", "weight": Percentage(gamma**length),
+            "wanted": wanted, "settings": {"train.gamma": f"{wanted:g}"}}  # fmt: skip
+
+
 def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
     """Without exploration, the policy succeeds in {without} in its last evaluations{where}. With exploration, it succeeds in {with} at the
     end of the training. Exploration prevents success.
@@ -419,6 +459,19 @@ def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
     remedy = " and ".join([*by_evaluation, *map(str, less)]) or shorten
     return {"likelihood": 0.94, "without": found[0], "with": found[1], "where": f" in stage '{t.stage}'" if t.stage else "",
             "remedy": _sentence(remedy), "settings": _settings(less)}  # fmt: skip
+
+
+def success_needs_exploration(t: TrainingEvidence) -> Numbers | None:
+    """With exploration, the policy succeeds in {with} at the end of the training. Without it, it succeeds in {without} in its last
+    evaluations{where}: it stands still or repeats itself in some states, and only the noise on its actions leads out of them.
+
+    Try: {advice} The noise becomes smaller, and the policy learns to do without it. If it still needs the noise then, let no action be
+    standing still, or show the policy its previous action (`previous_action: auto` under `observation`).
+    """
+    found = needs_exploration(t)
+    if found is None:
+        return None
+    return {**_length(t), "likelihood": 0.94, "with": found[0], "without": found[1], "where": f" in stage '{t.stage}'" if t.stage else ""}
 
 
 def exploration_delays_stage(t: TrainingEvidence) -> Numbers | None:
@@ -560,6 +613,8 @@ def stopped_early(t: TrainingEvidence) -> Numbers | None:
     result = t.run.record.result
     if result is None or result.solved_at is None or t.is_running or t.verdict.solved is not False or t.verdict.evaluation is None:
         return None
+    if t.steps > 0.95 * t.run.record.total_timesteps or needs_exploration(t) is not None:
+        return None
     length = _length(t, t.run.record.total_timesteps)
     return {**length, "likelihood": 0.9, "planned": t.run.record.total_timesteps, "result": t.verdict.evaluation.text}
 
@@ -596,7 +651,8 @@ CAUSES: tuple[StatementRule[TrainingEvidence], ...] = (
     ending_at_reset, not_finite, action_without_effect, ending_at_once, lint_warns, sensor_without_reading, constant_observation,
     saturated_observation, term_dominates, ending_early_pays, standing_still_pays, loitering, stage_too_hard, easy_stage_counted,
     some_starts_fail, reward_apart_from_success, stuck_in_stage, success_never_seen, silent_terms,
-    learning_rate_too_high, learning_rate_too_low, exploration_hides_success, exploration_delays_stage, exploration_too_large,
-    exploration_collapsed, success_plateau, one_ending, stopped_early, too_few_steps,
+    learning_rate_too_high, learning_rate_too_low, rewards_too_large, horizon_too_short, exploration_hides_success,
+    success_needs_exploration, exploration_delays_stage, exploration_too_large, exploration_collapsed, success_plateau, one_ending,
+    stopped_early, too_few_steps,
 )  # fmt: skip
 """Why a training does not learn."""

@@ -315,6 +315,14 @@ def hides_success(t: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None
     return without, explored
 
 
+def needs_exploration(t: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
+    """The success rates of late episodes of the training and of late evaluations, if most of the success needs exploration."""
+    explored, without = SuccessRate(t.episodes_between(0.75, 1.0).successes[-100:]), SuccessRate(t.late_evaluations)
+    if min(without.episodes, explored.episodes) < MIN_EPISODES or explored.rate < max(0.5, without.rate + 0.3):
+        return None
+    return explored, without
+
+
 def success_never_seen(t: TrainingEvidence) -> Numbers | None:
     """{seen} of {episodes} episodes{where} {verb} a success ('{ending}'){though}; their returns differ by {spread} (standard deviation).
 

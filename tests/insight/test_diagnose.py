@@ -300,6 +300,35 @@ def test_a_training_that_stopped_by_luck_is_continued_to_its_planned_steps(carri
     assert diagnose(replace(training, verdict=RunVerdict(True, evaluation))) == []
 
 
+def test_rewards_that_the_critic_cannot_follow_are_normalized(short):
+    noise = np.random.default_rng(0).normal(0, 3, 200)
+    training = _logs(short, 30_000 + 1000 * noise, 30 + noise, train__explained_variance=[0.02] * 20)
+    (found,) = [each for each in diagnose(training) if each.cause == "rewards_too_large"]
+    assert found.settings == {"train.normalize": "reward"}
+    assert "rewards_too_large" not in _causes(_logs(short, 30_000 + 1000 * noise, 30 + noise, train__explained_variance=[0.9] * 20))
+    assert "rewards_too_large" not in _causes(_logs(short, 30 + noise, 30 + noise, train__explained_variance=[0.02] * 20))
+
+
+def test_a_discount_factor_that_hides_the_success_is_raised_by_the_length_of_an_episode(tmp_path):
+    flat = {"returns": _returns(np.zeros(400), 0), "lengths": np.full(400, 60)}
+    first = diagnose(_logs(_shuttle(tmp_path / "far", "train.gamma=0.4"), **flat))[0]
+    assert (first.cause, first.settings) == ("horizon_too_short", {"train.gamma": "0.95"})  # at most 60 steps: 0.95^60 is 5 %
+    assert "horizon_too_short" not in _causes(_logs(_shuttle(tmp_path / "near", "train.gamma=0.95"), **flat))
+
+
+def test_a_success_that_needs_exploration_is_named(carriage):
+    """Without noise on its actions, the policy stood still."""
+    good = _outcomes(400, 0.2, 0.9, 1.0, 1.0)
+    poor = [Episode(0.0, 60, k < 29, "max_steps") for k in range(100)]
+    training = _logs(carriage, _returns(good, 0), np.full(400, 60), success=good, evaluations=_evaluated(*[0.3] * 20))
+    first = diagnose(replace(training, final_episodes=poor))[0]
+    assert first.cause == "success_needs_exploration"
+    assert (first.evidence["with"].rate, first.evidence["without"].rate) == (pytest.approx(1.0, abs=0.03), 0.3)
+    assert first.settings == {"train.total_timesteps": "50_000"}
+    high = _evaluated(*[0.9] * 20)
+    assert "success_needs_exploration" not in _causes(replace(training, all_evaluations=high, final_episodes=poor))
+
+
 def test_a_stage_that_exploration_prolonged_is_named(staged):
     """Its evaluations had reached the criterion long before the episodes of the training did."""
     good = np.concatenate([_outcomes(300, 0.0, 0.5), _outcomes(300, 0.4, 0.4)])
