@@ -98,7 +98,9 @@ def _show(begin: Callable[..., RetriedTraining], *, quiet: bool, as_json: bool) 
     if found.interrupted:
         further = [f"deepbots train --resume {group}"]
     elif not found.solved:
-        further = [*(cause.command for cause in found.causes[:1]), f"deepbots diagnose {group}", f"deepbots report {group}"]
+        more = f"deepbots train --resume {group} --retry {len(found.attempts) + 1}"
+        first = [more if cause.settings else cause.command for cause in found.causes[:1]]
+        further = [*first, f"deepbots diagnose {group}", f"deepbots report {group}"]
     data = {
         "group": found.group,
         "attempts": [_data(each) for each in found.attempts],

@@ -179,10 +179,10 @@ class _Retries:
                 break
             best = self.group.best_attempt
             base = best if _is_worse(self.group.attempt_verdict(number), self.group.attempt_verdict(best)) else number
-            causes = untried(causes_after(self.group.attempt(base), self.permissions), self.group.record.attempts, base)
+            causes = untried(self._causes(base), self.group.record.attempts, base)
             following = next_attempt(causes, self.group.record.attempts, base)
             if following is None:
-                reason = "no other value under `train` is advised" if causes else "no cause was found"
+                reason = "no other value under `train` is advised" if causes else f"no other cause of try-{base} was found"
                 break
             if number > self.group.record.retries:
                 break
@@ -196,10 +196,8 @@ class _Retries:
 
         record, path, attempt = self.group.record, self.group.attempt(number), self.group.record.attempts[number - 1]
         base = record.attempts[attempt.base - 1].settings if attempt.base else {}
-        total = attempt.settings.get(TOTAL_TIMESTEPS)
-        is_longer = bool(attempt.base) and {name for name in attempt.settings if attempt.settings[name] != base.get(name)} == {
-            TOTAL_TIMESTEPS
-        }
+        changed = {name for name in attempt.settings if attempt.settings[name] != base.get(name)}
+        is_longer = bool(attempt.base) and changed == {TOTAL_TIMESTEPS}
         if is_longer and folder_kind(path) is not SourceKind.RUN:
             self._copy(self.group.attempt(attempt.base), path)
         if folder_kind(path) is SourceKind.RUN:
@@ -208,14 +206,21 @@ class _Retries:
             if known.status == "finished" and not is_copy:
                 return None
             self._announce(number, attempt)
-            longer = int(total) if is_copy and total is not None else None
+            training = self._compiled(attempt).program.agent.training if is_copy else None
+            longer = None if training is None else training.total_timesteps
             return resume(path, total_timesteps=longer, permissions=self.permissions, progress=self.progress, placement=self.placement)
         remove_incomplete(path)
         self._announce(number, attempt)
-        options: dict[str, Any] = record.options | ({} if total is None else {"total_timesteps": None})
+        options: dict[str, Any] = record.options | ({"total_timesteps": None} if TOTAL_TIMESTEPS in attempt.settings else {})
         options["command"] = self._command(attempt)
         compiled = replace(self._compiled(attempt), source=Path(record.source), permissions=self.permissions)
         return train(compiled, run=path, seed=record.seeds[0], progress=self.progress, placement=self.placement, **options)
+
+    def _causes(self, number: int) -> list[Statement]:
+        try:
+            return causes_after(self.group.attempt(number), self.permissions)
+        except DeepbotsError:  # it has no finished episode, for example
+            return []
 
     def _announce(self, number: int, attempt: RetryAttempt) -> None:
         if self.on_attempt is not None:
