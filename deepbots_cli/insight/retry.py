@@ -178,7 +178,7 @@ class _Retries:
             if self._evaluated(number).solved:
                 break
             best = self.group.best_attempt
-            base = best if _is_worse(self.group.attempt_verdict(number), self.group.attempt_verdict(best)) else number
+            base = best if self._is_given_up(number, best) else number
             causes = untried(self._causes(base), self.group.record.attempts, base)
             following = next_attempt(causes, self.group.record.attempts, base)
             if following is None:
@@ -195,9 +195,7 @@ class _Retries:
         from deepbots_cli.learning.training import resume, train  # which imports torch
 
         record, path, attempt = self.group.record, self.group.attempt(number), self.group.record.attempts[number - 1]
-        base = record.attempts[attempt.base - 1].settings if attempt.base else {}
-        changed = {name for name in attempt.settings if attempt.settings[name] != base.get(name)}
-        is_longer = bool(attempt.base) and changed == {TOTAL_TIMESTEPS}
+        is_longer = self._is_longer(attempt)
         if is_longer and folder_kind(path) is not SourceKind.RUN:
             self._copy(self.group.attempt(attempt.base), path)
         if folder_kind(path) is SourceKind.RUN:
@@ -215,6 +213,16 @@ class _Retries:
         options["command"] = self._command(attempt)
         compiled = replace(self._compiled(attempt), source=Path(record.source), permissions=self.permissions)
         return train(compiled, run=path, seed=record.seeds[0], progress=self.progress, placement=self.placement, **options)
+
+    def _is_longer(self, attempt: RetryAttempt) -> bool:
+        """Whether an attempt only continues the one that it is based on."""
+        base = self.group.record.attempts[attempt.base - 1].settings if attempt.base else attempt.settings
+        return {name for name in attempt.settings if attempt.settings[name] != base.get(name)} == {TOTAL_TIMESTEPS}
+
+    def _is_given_up(self, number: int, best: int) -> bool:
+        """Whether the values of an attempt are worse than those of the best one; a longer training may have to be longer still."""
+        worse = _is_worse(self.group.attempt_verdict(number), self.group.attempt_verdict(best))
+        return worse and not self._is_longer(self.group.record.attempts[number - 1])
 
     def _causes(self, number: int) -> list[Statement]:
         try:
