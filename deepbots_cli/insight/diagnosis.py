@@ -604,6 +604,23 @@ def one_ending(t: TrainingEvidence) -> Numbers | None:
     return {"likelihood": 0.25, "ending": name, "share": Percentage(share), "episodes": len(late), "length": float(late.lengths.mean())}
 
 
+def script_succeeds(t: TrainingEvidence) -> Numbers | None:
+    """A script is better than the policy: '{script}' succeeds in {by_script}, and the policy in {by_policy}.
+
+    Try: Let the script teach the policy, with `teacher: {script}` under `train`.
+    """
+    episodes = [each.is_success for each in t.final_episodes] if t.is_last_stage else []
+    policy = SuccessRate(episodes or t.episodes_between(0.75, 1.0).successes)
+    rates = {name: SuccessRate([trace.outcome == "success" for trace in traces]) for name, traces in t.scripts.items() if traces}
+    if not rates or policy.episodes < MIN_EPISODES:
+        return None
+    name = max(rates, key=lambda each: rates[each].rate)
+    # A script of less than 70 % hardly teaches what the policy cannot find itself.
+    if rates[name].episodes < MIN_EPISODES or rates[name].rate < 0.7 or rates[name].low <= policy.high:
+        return None
+    return {"likelihood": 0.89, "script": name, "by_script": rates[name], "by_policy": policy, "settings": {"train.teacher": name}}
+
+
 def stopped_early(t: TrainingEvidence) -> Numbers | None:
     """The training stopped after {steps} of {planned} steps, when its episodes and an evaluation had met `solved`. The evaluation after it,
     of more episodes, does not meet it: {result}.
@@ -650,7 +667,7 @@ def _length(t: TrainingEvidence, planned: int = 0) -> dict[str, Any]:
 CAUSES: tuple[StatementRule[TrainingEvidence], ...] = (
     ending_at_reset, not_finite, action_without_effect, ending_at_once, lint_warns, sensor_without_reading, constant_observation,
     saturated_observation, term_dominates, ending_early_pays, standing_still_pays, loitering, stage_too_hard, easy_stage_counted,
-    some_starts_fail, reward_apart_from_success, stuck_in_stage, success_never_seen, silent_terms,
+    some_starts_fail, reward_apart_from_success, stuck_in_stage, script_succeeds, success_never_seen, silent_terms,
     learning_rate_too_high, learning_rate_too_low, rewards_too_large, horizon_too_short, exploration_hides_success,
     success_needs_exploration, exploration_delays_stage, exploration_too_large, exploration_collapsed, success_plateau, one_ending,
     stopped_early, too_few_steps,

@@ -35,7 +35,7 @@ from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdi
 from deepbots_cli.program import CurriculumStage, Program
 from deepbots_cli.program.task import Schedule, idle_action
 from deepbots_cli.rollout import Driver, Episode, Start, steps
-from deepbots_cli.rollout.drivers import action_from_values, constant_driver, random_driver
+from deepbots_cli.rollout.drivers import action_from_values, constant_driver, named_driver, random_driver
 from deepbots_cli.rollout.source import Source
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
@@ -43,6 +43,9 @@ from deepbots_cli.view.plots import logs_of, scalars_of
 
 PROBE_EPISODES, PROBE_STEPS, CONSTANT_ACTION_STEPS = 4, 300, 40
 """Short episodes of the policy, of random actions and without commands, and their steps at most; and the steps of a constant action."""
+
+SCRIPT_EPISODES = 8
+"""Whole episodes of each script: from 8 successes of 8 follows a success rate of 68 % or more."""
 
 MIN_EPISODES = 8
 """Episodes, below which the returns of a training tell nothing."""
@@ -57,7 +60,8 @@ class TrainingEvidence:
     nothing about it. `scalars` are curves of TensorBoard by tag: steps and values. `failure` is the error that ended the training. The
     short episodes have the same starts, in the present stage: `policy` those of the last policy, `random` those of random actions, `idle`
     those of an action that commands zeros, and `constant_actions` one for each constant action, by the part of the action that alone
-    differs. `final_episodes` are those of the evaluation that `verdict` quotes.
+    differs. `scripts` are whole episodes of each script that could teach the policy. `final_episodes` are those of the evaluation that
+    `verdict` quotes.
     """
 
     run: Run
@@ -72,6 +76,7 @@ class TrainingEvidence:
     random: Sequence[Trace] = ()
     idle: Sequence[Trace] = ()
     constant_actions: dict[str, Mapping[str, Trace]] = field(default_factory=dict)
+    scripts: dict[str, Sequence[Trace]] = field(default_factory=dict)
 
     # Stages
 
@@ -260,6 +265,8 @@ def training_command(run: Run, assignments: Sequence[str]) -> list[str]:
     training = run.program.agent.training
     if training is not None and record.total_timesteps != training.total_timesteps and "train.total_timesteps" not in settings:
         words += ["--timesteps", str(record.total_timesteps)]
+    given = training.teacher if training is not None and any(word.partition("=")[0] == "--teacher" for word in record.command) else None
+    words += [] if given is None or "train.teacher" in settings else ["--teacher", given.script]
     words += [word for path, value in settings.items() for word in ("--set", f"{path}={value}")]
     is_given = any(word.partition("=")[0] == "--engine" for word in record.command)
     words += ["--engine", record.engine] if is_given or record.engine != engine_kinds.chosen(run.program.engine) else []
@@ -312,7 +319,9 @@ def run_probes(
             idle = None  # no command is zero
         name: Any = next((name for name in ("last", "best") if run.model(name).is_file()), None)
         model = None if name is None else load_model(run, name, world)
+        scripts = _teachers(training)
         total = PROBE_EPISODES * (1 + (idle is not None) + (model is not None)) + sum(map(len, constant.values()))
+        total += SCRIPT_EPISODES * len(scripts)
         done = 0
 
         def episode(seed: int, driver: Driver, count: int = PROBE_STEPS) -> list[Trace]:
@@ -340,6 +349,18 @@ def run_probes(
         for part, actions in constant.items():
             found = {name: episode(seeds[0], constant_driver(action), CONSTANT_ACTION_STEPS) for name, action in actions.items()}
             training.constant_actions[part] = {name: trace for name, traces in found.items() for trace in traces}
+        longest = training.program.truncation.max_episode_steps(training.program.period)
+        for name in scripts:
+            starts = (derive_seed(run.record.seed, "diagnosis", number) for number in range(SCRIPT_EPISODES))
+            training.scripts[name] = [trace for seed in starts for trace in episode(seed, named_driver(world, name), longest)]
+
+
+def _teachers(t: TrainingEvidence) -> list[str]:
+    """The scripts that could teach the policy; none where one does, or where no success compares them with it."""
+    agent = t.program.agent
+    if not t.program.defines_success or agent.copies is not None or agent.training is None or agent.training.teacher is not None:
+        return []
+    return [script.name for script in agent.scripts]
 
 
 def _constant(env: Supervisor) -> dict[str, dict[str, Any]]:

@@ -329,6 +329,19 @@ def test_a_success_that_needs_exploration_is_named(carriage):
     assert "success_needs_exploration" not in _causes(replace(training, all_evaluations=high, final_episodes=poor))
 
 
+def test_a_script_that_succeeds_where_the_policy_does_not_is_the_teacher(tmp_path):
+    by_hand = "scripts={by_hand: {drive: 4 * gap / m}, idle: {drive: 0}}"
+    training = read_training(Run.open(_shuttle(tmp_path, by_hand)))
+    run_probes(training)
+    assert {name: len(traces) for name, traces in training.scripts.items()} == {"by_hand": 8, "idle": 8}
+    poor = [Episode(0.0, 60, k < 6, "max_steps") for k in range(100)]
+    (found,) = [each for each in diagnose(replace(training, final_episodes=poor)) if each.cause == "script_succeeds"]
+    assert found.settings == {"train.teacher": "by_hand"}
+    assert "'by_hand' succeeds in 100% (68% to 100%) of 8 episodes, and the policy in 6%" in found.text
+    good = [Episode(0.0, 60, k < 70, "parked") for k in range(100)]
+    assert "script_succeeds" not in _causes(replace(training, final_episodes=good))
+
+
 def test_a_stage_that_exploration_prolonged_is_named(staged):
     """Its evaluations had reached the criterion long before the episodes of the training did."""
     good = np.concatenate([_outcomes(300, 0.0, 0.5), _outcomes(300, 0.4, 0.4)])
