@@ -17,7 +17,7 @@ from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.group import Group, RetryAttempt
-from deepbots_cli.rollout.source import Source, SourceKind
+from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.retry import Attempted, RetriedTraining
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.shards import Placement
 
 
-def of(source: Source) -> Group | None:
-    """The group of --retry that a source is, if it is one."""
-    group = Group.open(source) if source.kind is SourceKind.GROUP else None
+def of(path: Path) -> Group | None:
+    """The group of --retry in a folder, if it is one."""
+    group = Group.open(path) if folder_kind(path) is SourceKind.GROUP else None
     return group if group is not None and group.record.attempts else None
 
 
-def _group(source: Source) -> Group:
-    group = of(source)
+def _group(path: Path) -> Group:
+    group = of(path)
     if group is None:
-        raise UsageError(f"{source.path} was not trained with --retry; train its scenario with: deepbots train SCENARIO --retry 2")
+        raise UsageError(f"{path} was not trained with --retry; train its scenario with: deepbots train SCENARIO --retry 2")
     return group
 
 
@@ -62,11 +62,11 @@ def train(compiled: Compiled, retries: int, *, quiet: bool, as_json: bool, **opt
     _show(partial(train_with_retries, compiled, retries, **options), quiet=quiet, as_json=as_json)
 
 
-def resume(source: Source, retries: int | None, placement: Placement, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
+def resume(group: Path, retries: int | None, placement: Placement, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
     """Continue a group, and show what its attempts came to."""
     from deepbots_cli.insight.retry import resume_retries
 
-    path, progress = _group(source).path, not quiet
+    path, progress = _group(group).path, not quiet
     begin = partial(resume_retries, path, retries=retries, placement=placement, permissions=permissions, progress=progress)
     _show(begin, quiet=quiet, as_json=as_json)
 
@@ -136,7 +136,7 @@ def _values(attempt: RetryAttempt) -> str:
     return ", ".join(f"{path}: {text}" for path, text in attempt.settings.items())
 
 
-def apply(source: Source, scenario: str | None, permissions: Permissions, *, as_json: bool) -> None:
+def apply(path: Path, scenario: str | None, permissions: Permissions, *, as_json: bool) -> None:
     """Write the values of the best attempt of a group into a scenario file, by default into that of the group.
 
     Raises:
@@ -144,7 +144,7 @@ def apply(source: Source, scenario: str | None, permissions: Permissions, *, as_
     """
     from deepbots_cli.cli.commands.rewriting import write_values  # which imports the rules of lint
 
-    group = _group(source)
+    group = _group(path)
     best, name = group.best_attempt, scenario or group.record.source
     values = group.record.attempts[best - 1].settings
     if not values:

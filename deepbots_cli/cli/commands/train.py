@@ -178,19 +178,18 @@ def command(
     """
     progress = not quiet
     if resume is not None:
-        source = Source.open(resume, permissions, SourceKind.RUN, SourceKind.GROUP)
         folders = permissions.folders or None
-        if retry is not None or apply or retries.of(source) is not None:
+        if retry is not None or apply or retries.of(resume) is not None:
             refused = (
                 *(overrides, seed, seeds, run, stage, engine, keep_checkpoints, initialize_from, shards, teacher),
                 *(timesteps, callbacks, loggers),
             )
             retries.refuse((*refused, full or None, to_view or None, *(() if apply else (scenario, folders))))
             if apply:
-                retries.apply(source, scenario, permissions, as_json=as_json)
+                retries.apply(resume, scenario, permissions, as_json=as_json)
                 return
             with _placement(workers, address, quiet=quiet) as placement:
-                retries.resume(source, retry, placement, quiet=quiet, as_json=as_json, permissions=permissions)
+                retries.resume(resume, retry, placement, quiet=quiet, as_json=as_json, permissions=permissions)
             return
         made_with = (scenario, overrides, seed, seeds, run, stage, engine, folders, keep_checkpoints, initialize_from, shards, teacher)
         if any(option is not None for option in made_with):
@@ -205,7 +204,7 @@ def command(
             from deepbots_cli.learning.sb3 import plugins  # which imports torch
 
             plugins.check(_names(callbacks) or (), _names(loggers) or ())
-        if source.kind is SourceKind.GROUP:
+        if Source.open(resume, permissions, SourceKind.RUN, SourceKind.GROUP).kind is SourceKind.GROUP:
             with processes.spread(workers, address, len(Group.open(resume).record.seeds), quiet=quiet) as spread:
                 group = learning.resume_group(resume, on_seed=None if quiet else _announce_seed, spread=spread, **changes)
                 _finish_group(group, spread, quiet=quiet, as_json=as_json, permissions=permissions)
