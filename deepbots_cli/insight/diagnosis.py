@@ -150,7 +150,7 @@ def _next_command(t: TrainingEvidence, statement: Statement) -> str:
         return join(training_command(run, [f"{setting}={value}" for setting, value in statement.settings.items()]))
     if t.is_running:
         return ""
-    if (failure := latest_failure(run.path)) is not None:
+    if statement.cause == "not_finite" and (failure := latest_failure(run.path)) is not None:
         return f"deepbots diagnose {quote(str(failure))}"
     has_failed_episode = not all(each.is_success for each in t.final_episodes) and (
         t.run.program.defines_success or any(each.ended_by in t.run.program.failures for each in t.final_episodes))  # fmt: skip
@@ -409,7 +409,7 @@ def learning_rate_too_low(t: TrainingEvidence) -> Numbers | None:
 
 def rewards_too_large(t: TrainingEvidence) -> Numbers | None:
     """The rewards are too large for the critic: the mean return of late episodes is {late}, and the critic explains {explained} of the
-    variance of the returns. Gradients have a limit, which the critic then takes up alone.
+    variance of the returns. The norm of a gradient is limited, and the part of the critic leaves hardly any for the policy.
 
     Try: Set `train.normalize` to `reward`, which divides rewards by their standard deviation for learning only, or scale all terms down.
     """
@@ -463,7 +463,7 @@ def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
 
 def success_needs_exploration(t: TrainingEvidence) -> Numbers | None:
     """With exploration, the policy succeeds in {with} at the end of the training. Without it, it succeeds in {without} in its last
-    evaluations{where}: it stands still or repeats itself in some states, and only the noise on its actions leads out of them.
+    evaluations{where}: it seems to stand still or to repeat itself in some states, and only the noise on its actions leads out of them.
 
     Try: {advice} The noise becomes smaller, and the policy learns to do without it. If it still needs the noise then, let no action be
     standing still, or show the policy its previous action (`previous_action: auto` under `observation`).
