@@ -10,7 +10,7 @@ returns.py     what the terms of the reward pay in a step and at an end, and the
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
 from typing import cast
 from weakref import proxy
@@ -18,11 +18,13 @@ from weakref import proxy
 from deepbots_cli.analysis.conditions import shadowed_endings
 from deepbots_cli.analysis.ranges import Ranges, StartRanges
 from deepbots_cli.analysis.returns import RewardTerms, return_range
+from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.intervals import INF
 from deepbots_cli.expressions.lower import Lowering, Scalars
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.scalar import children as parts
-from deepbots_cli.expressions.types import Constant, Invocation, Known, Operation, Reference, Symbol, Type, Typed
+from deepbots_cli.expressions.types import ComponentSelection, Constant, Invocation, Known, Operation, Reference, Symbol, Type, Typed
+from deepbots_cli.expressions.types import children as typed_parts
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
 from deepbots_cli.program.robots import Sensor
@@ -345,3 +347,37 @@ def possible_returns(program: Program) -> tuple[float, float]:
     """The least and the largest return of an episode that rewards and time limit allow; infinite where they imply none."""
     known = return_range(Analysis(program))
     return known.low, known.high
+
+
+def unobserved_reads(program: Program, script: str) -> list[str]:
+    """What a script reads and the policy does not observe: names and calls as the script writes them.
+
+    A value is observed if everything that it is computed from belongs to the observation or the goal. Noise and clipping are left out.
+    """
+    analysis, agent = Analysis(program).ideal, program.agent
+
+    def sources(trees: Iterable[Scalar]) -> set[int]:
+        nodes = (node for tree in trees for node in analysis.walk_definitions(tree))
+        return {analysis.identity(node) for node in nodes if isinstance(node, (Name, EngineRead))}
+
+    goal = () if agent.goal is None else (agent.goal.achieved, agent.goal.desired)
+    seen = sources(tree for value in (*(entry.value for entry in agent.observation), *goal) for tree in analysis.scalars(value))
+    found = {}
+    for value in (value for part in program.script(script).parts for value in part.values):
+        for node in _reads_in(value.typed):
+            found[value.text[node.start : node.end]] = sources(analysis.lowered(node, value.owner)) <= seen
+    return [text for text, is_observed in found.items() if not is_observed]
+
+
+def _reads_in(node: Typed) -> Iterator[Typed]:
+    """The named values and the functions of the world in an expression, without what is part of another one."""
+    match node:
+        case Reference() | Constant():
+            yield from () if isinstance(node, Constant) or node.symbol.value is not None else (node,)
+        case ComponentSelection(value=Reference(symbol=symbol)):
+            yield from () if symbol.value is not None else (node,)
+        case Invocation(function=name) if FUNCTIONS[name].family is Family.WORLD:
+            yield node
+        case _:
+            for part in typed_parts(node):
+                yield from _reads_in(part)

@@ -17,6 +17,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from deepbots_cli.analysis import unobserved_reads
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError
 from deepbots_cli.insight.rewards import (
@@ -101,7 +102,7 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
     causes = CAUSES
     if learned:  # starts that fail are of interest where the scenario does not say how many may
         starts = (some_starts_fail,) if training.run.program.agent.solved is None else ()
-        causes = (stopped_early, *starts, *((exploration_too_large,) if learned == "evaluated" else ()))
+        causes = (stopped_early, teacher_sees_more, *starts, *((exploration_too_large,) if learned == "evaluated" else ()))
     found = sorted(statements_about(causes, training), key=lambda each: -each.evidence["likelihood"])
     unlikely = [statement for statement in found if statement.evidence["likelihood"] < CERTAIN]
     left_out = (_SYMPTOMS if len(unlikely) < len(found) else set()) | (set() if training.is_mature else _PROVISIONAL_CAUSES)
@@ -612,13 +613,37 @@ def script_succeeds(t: TrainingEvidence) -> Numbers | None:
     episodes = [each.is_success for each in t.final_episodes] if t.is_last_stage else []
     policy = SuccessRate(episodes or t.episodes_between(0.75, 1.0).successes)
     rates = {name: SuccessRate([trace.outcome == "success" for trace in traces]) for name, traces in t.scripts.items() if traces}
-    if not rates or policy.episodes < MIN_EPISODES:
+    if not rates or policy.episodes < MIN_EPISODES or _has_teacher(t):
         return None
     name = max(rates, key=lambda each: rates[each].rate)
     # A script of less than 70 % hardly teaches what the policy cannot find itself.
     if rates[name].episodes < MIN_EPISODES or rates[name].rate < 0.7 or rates[name].low <= policy.high:
         return None
     return {"likelihood": 0.89, "script": name, "by_script": rates[name], "by_policy": policy, "settings": {"train.teacher": name}}
+
+
+def _has_teacher(t: TrainingEvidence) -> bool:
+    training = t.program.agent.training
+    return training is not None and training.teacher is not None
+
+
+def teacher_sees_more(t: TrainingEvidence) -> Numbers | None:
+    """The teacher sees more than the policy: '{script}' reads {names}, which the policy does not observe, so it acts differently in states
+    that look the same to the policy. It succeeds in {by_script}, and the policy in {by_policy}.
+
+    Try: Add what the teacher reads to `observation`. If a robot could not measure it, show the policy more of the past: `history: 4` for
+    the sensors that change with it.
+    """
+    training = t.program.agent.training
+    if training is None or training.teacher is None or not (played := t.scripts.get(training.teacher.script)):
+        return None
+    script = SuccessRate([trace.outcome == "success" for trace in played])
+    policy = SuccessRate([each.is_success for each in t.final_episodes] or t.late_evaluations)
+    hidden = unobserved_reads(t.program, training.teacher.script)
+    if not hidden or policy.episodes < MIN_EPISODES or policy.rate >= 0.9 * script.rate:
+        return None
+    return {"likelihood": 0.88, "script": training.teacher.script, "names": " and ".join(f"`{text}`" for text in hidden[:3]),
+            "by_script": script, "by_policy": policy, "hidden": hidden}  # fmt: skip
 
 
 def stopped_early(t: TrainingEvidence) -> Numbers | None:
@@ -667,7 +692,7 @@ def _length(t: TrainingEvidence, planned: int = 0) -> dict[str, Any]:
 CAUSES: tuple[StatementRule[TrainingEvidence], ...] = (
     ending_at_reset, not_finite, action_without_effect, ending_at_once, lint_warns, sensor_without_reading, constant_observation,
     saturated_observation, term_dominates, ending_early_pays, standing_still_pays, loitering, stage_too_hard, easy_stage_counted,
-    some_starts_fail, reward_apart_from_success, stuck_in_stage, script_succeeds, success_never_seen, silent_terms,
+    some_starts_fail, reward_apart_from_success, stuck_in_stage, script_succeeds, teacher_sees_more, success_never_seen, silent_terms,
     learning_rate_too_high, learning_rate_too_low, rewards_too_large, horizon_too_short, exploration_hides_success,
     success_needs_exploration, exploration_delays_stage, exploration_too_large, exploration_collapsed, success_plateau, one_ending,
     stopped_early, too_few_steps,

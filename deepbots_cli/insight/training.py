@@ -60,8 +60,8 @@ class TrainingEvidence:
     nothing about it. `scalars` are curves of TensorBoard by tag: steps and values. `failure` is the error that ended the training. The
     short episodes have the same starts, in the present stage: `policy` those of the last policy, `random` those of random actions, `idle`
     those of an action that commands zeros, and `constant_actions` one for each constant action, by the part of the action that alone
-    differs. `scripts` are whole episodes of each script that could teach the policy. `final_episodes` are those of the evaluation that
-    `verdict` quotes.
+    differs. `scripts` are whole episodes of the script that teaches the policy, or of each that could. `final_episodes` are those of the
+    evaluation that `verdict` quotes.
     """
 
     run: Run
@@ -356,10 +356,12 @@ def run_probes(
 
 
 def _teachers(t: TrainingEvidence) -> list[str]:
-    """The scripts that could teach the policy; none where one does, or where no success compares them with it."""
+    """The script that teaches the policy, or else those that could; none where no success compares them with it."""
     agent = t.program.agent
-    if not t.program.defines_success or agent.copies is not None or agent.training is None or agent.training.teacher is not None:
+    if not t.program.defines_success or agent.copies is not None or agent.training is None:
         return []
+    if agent.training.teacher is not None:
+        return [agent.training.teacher.script]
     return [script.name for script in agent.scripts]
 
 

@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from pydantic import BaseModel, Field, NonNegativeInt
 
+from deepbots_cli.analysis import unobserved_reads
 from deepbots_cli.api import build_batch
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.curriculum import Curriculum
@@ -288,7 +289,9 @@ class TrainingCallback:
         if not teaching.knows(stage := self.curriculum.index):
             scenario = self.curriculum.scenario_of(stage)
             played = self.evaluator.play_script(teaching.teacher.script, scenario)
-            self.reporter.note(teaching.begin(stage, played, scenario.defines_success))
+            hidden = unobserved_reads(scenario, teaching.teacher.script)
+            reads = f"; the policy does not observe what it reads: {', '.join(hidden)}" if hidden else ""
+            self.reporter.note(teaching.begin(stage, played, scenario.defines_success) + reads)
         drove, plan = teaching.drives, teaching.plan(self.statistics.steps)
         if drove and not teaching.drives:
             self.statistics.recent.clear()

@@ -12,6 +12,7 @@ from test_learning_resume import outcome
 from test_learning_shards import Forgetful
 
 from deepbots_cli import api
+from deepbots_cli.analysis import unobserved_reads
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import evaluate, resume, train
 from deepbots_cli.learning.report import Reporter, TrainingProgress
@@ -85,6 +86,14 @@ def test_a_policy_imitates_its_teacher(tmp_path: Path) -> None:
         found[name] = evaluate(result.run, model="last", episodes=10).mean_length
     assert found["taught"] > 300
     assert found["alone"] < 150
+
+
+@pytest.mark.parametrize(
+    ("scenario", "script", "hidden"),
+    [("find_ball_random", "along_path", ["path_bearing(epuck, ball)"]), ("panda_push", "by_hand", []), ("pit_escape", "rocking", [])],
+)
+def test_what_a_teacher_reads_and_the_policy_does_not_observe(scenario: str, script: str, hidden: list[str]) -> None:
+    assert unobserved_reads(api.compile(scenario).program, script) == hidden
 
 
 def test_a_teacher_that_never_succeeds_is_refused(tmp_path: Path) -> None:
