@@ -14,15 +14,15 @@ neither simulator nor learner, and not the back end of the compiler either, whic
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import engine_kinds
-from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.diagnostics import Finding
-from deepbots_cli.document import Permissions
+from deepbots_cli.compiler import CheckedScenario, check
+from deepbots_cli.diagnostics import Finding, Findings
+from deepbots_cli.document import Document, Permissions
 from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.lint import all_findings
@@ -50,6 +50,8 @@ class Compiled:
         fixed: The parameters that no episode draws.
         edited_code: The edited module of a project, which replaces the generated one.
         overrides: The assignments of `--set`.
+        learner: The reasons for the learner that deepbots chose, where the scenario names no algorithm.
+        document: The merged scenario and its sources.
     """
 
     program: Program
@@ -61,6 +63,8 @@ class Compiled:
     fixed: tuple[str, ...] = ()
     edited_code: str | None = None
     overrides: tuple[str, ...] = ()
+    learner: tuple[str, ...] = ()
+    document: Document | None = None
 
     @property
     def code(self) -> str:
@@ -152,7 +156,21 @@ def compile(
         checked.document.permissions,
         tuple(name for name in checked.spec.parameters if name not in drawn) if checked.spec else (),
         overrides=checked.document.overrides,
+        learner=checked.learner,
+        document=checked.document,
     )
+
+
+def with_learner(compiled: Compiled) -> Compiled:
+    """The scenario with the learner that deepbots chooses, if it has no `train` section; otherwise unchanged.
+
+    Raises:
+        ScenarioError: No algorithm can act in the scenario.
+    """
+    if compiled.program.agent.training is not None or compiled.document is None:
+        return compiled
+    chosen = compile(check(replace(compiled.document, findings=Findings()), to_train=True))
+    return replace(chosen, findings=compiled.findings, edited_code=compiled.edited_code)
 
 
 def make(

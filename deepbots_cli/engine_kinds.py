@@ -25,7 +25,8 @@ class Limitation(NamedTuple):
 
 
 class EngineKind(NamedTuple):
-    """`factory` is the `module:attribute` of a `port.EngineFactory`, `library` the module that it imports.
+    """`factory` is the `module:attribute` of a `port.EngineFactory`, `library` the module that it imports, `batch` the `module:attribute`
+    of its batches: many worlds of one model at once.
 
     `last_python` is the last Python that the library is built for. `mesh_terrain` says why a mesh cannot be the ground, None if it can.
     `implausible_inertia` says why a link cannot have an inertia that no rigid body can have.
@@ -35,6 +36,7 @@ class EngineKind(NamedTuple):
     title: str
     factory: str
     library: str | None = None
+    batch: str | None = None
     last_python: tuple[int, int] | None = None
     mesh_terrain: Limitation | None = None
     implausible_inertia: Limitation | None = None
@@ -119,6 +121,7 @@ ENGINES = Engines(
             "MuJoCo",
             "deepbots_cli.engines.mujoco.engine:MuJoCoEngine",
             library="mujoco",
+            batch="deepbots_cli.engines.mujoco.batch:MuJoCoBatch",
             mesh_terrain=Limitation(
                 "a mesh cannot be the ground in MuJoCo, which uses the convex hull of a mesh",
                 "use a terrain of heights (heightfield, formula or pit), or the engine `pybullet`",

@@ -78,7 +78,7 @@ class _Keys:
 
     def _kinds(self, title: str, spec: Kinds, route: Route) -> Iterator[str]:
         """One table for all kinds; a key that only some have says so."""
-        models = spec.models
+        models = {name: model for name, model in spec.models.items() if name != spec.default}
         if self._met.issuperset(models.values()):
             return
         self._met.update(models.values())
@@ -88,6 +88,9 @@ class _Keys:
                 owners.setdefault(_Key(model, key, kind=next(iter(models)) if key == spec.key else ""), []).append(name)
         rows = [(key, _of_kinds(names, list(models))) for key, names in owners.items()]
         doc = f"`{spec.key}` is one of {_listed(models)}."
+        if spec.default is not None:
+            chosen = spec.models[spec.default]
+            doc += f" Without it, or with `{spec.default}`, {section_description(chosen)} It takes {_listed(section_fields(chosen))}."
         yield from self._table(title, doc, sorted(rows, key=lambda row: row[1] != ""), route)
 
     def _table(self, title: str, doc: str, rows: list[tuple[_Key, str]], route: Route) -> Iterator[str]:

@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli.cli.sources import text_at
 from deepbots_cli.cli.tables import Row, formula_text
+from deepbots_cli.compiler.learner import CHOSEN
 from deepbots_cli.compiler.robots import joint_moves_link
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.document import Node
-from deepbots_cli.document.nodes import entries_at
+from deepbots_cli.document.nodes import entries_at, node_at
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children, names_in
 from deepbots_cli.footprint import box_sides, resting_height, robot_bounds
 from deepbots_cli.frames import roll_pitch_yaw
@@ -44,8 +45,11 @@ _DIGITS = 6
 _FAULTS = ("noise", "bias", "drift", "range", "resolution", "period", "latency")
 
 
-def scenario_tables(scenario: Program, root: Node, run: Run | None = None) -> Tables:
-    """The tables of a compiled scenario, and of the run that it comes from; empty ones are left out."""
+def scenario_tables(scenario: Program, root: Node, run: Run | None = None, learner: Sequence[str] = ()) -> Tables:
+    """The tables of a compiled scenario, and of the run that it comes from; empty ones are left out.
+
+    `learner` are the reasons for a learner that deepbots chose.
+    """
     goal = {key: text_at(root, "goal", key) for key in ("achieved", "desired", "tolerance", "range", "noise")}
     return _filled(
         {
@@ -89,7 +93,7 @@ def scenario_tables(scenario: Program, root: Node, run: Run | None = None) -> Ta
                 for script in scenario.agent.scripts
                 for part in scenario.agent.action
             ],
-            **_training(scenario, root, run),
+            **_training(scenario, root, run, learner),
         }
     )
 
@@ -451,19 +455,26 @@ def _reset(scenario: Program, root: Node) -> list[Row]:
     return [{"reset": section, "of": name, "to": text_at(root, "reset", section, name)} for section, name in entries] + settle
 
 
-def _training(scenario: Program, root: Node, run: Run | None) -> Tables:
+def _training(scenario: Program, root: Node, run: Run | None, learner: Sequence[str]) -> Tables:
     """The training, and its hyperparameters with the source of each value."""
+
+    def source(name: str) -> str:
+        node = node_at(root, "train", *name.split("."))
+        return "deepbots" if node is None or node.span.source.name == CHOSEN else "scenario"
+
     training = scenario.agent.training
     if training is None:
         return {}
     total = run.record.total_timesteps if run else training.total_timesteps
     network = {"network.hidden": training.network.hidden, "network.activation": training.network.activation}
     rows = [
-        EffectiveHyperparameter(name, value, "scenario" if text_at(root, "train", *name.split(".")) else "deepbots")
-        for name, value in {"environments": training.environments, **network}.items()
+        EffectiveHyperparameter(name, value, source(name)) for name, value in {"environments": training.environments, **network}.items()
     ]
-    rows += effective_hyperparameters(scenario, total)
+    rows += [
+        row._replace(source=source(row.name)) if row.source == "scenario" else row for row in effective_hyperparameters(scenario, total)
+    ]
     about = {"algorithm": training.algorithm, "total_timesteps": total, "evaluation_episodes": scenario.evaluation.episodes}
+    about |= {"chosen": "; ".join(learner)} if learner else {}
     listed: list[Row] = [{"hyperparameter": row.name, "value": _setting(row.value), "from": row.source} for row in rows]
     return {"training": about, "hyperparameters": listed}
 

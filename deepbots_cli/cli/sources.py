@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,12 +23,16 @@ from deepbots_cli.rollout.source import Source, SourceKind
 
 @dataclass(frozen=True)
 class OpenedSource:
-    """A compiled scenario with its text after includes and settings; `run` is the run that it was trained in, if any."""
+    """A compiled scenario with its text after includes and settings; `run` is the run that it was trained in, if any.
+
+    `learner` are the reasons for a learner that deepbots chose, which is part of the program and of the text.
+    """
 
     program: Program
     root: Node | None
     run: Run | None = None
     findings: Sequence[Finding] = ()
+    learner: Sequence[str] = ()
 
     def text_at(self, path: str) -> str:
         """What is written at a path, on one line; empty where nothing is. A stage of the curriculum goes by its name."""
@@ -65,10 +70,13 @@ def open_source(source: str, overrides: Sequence[str], permissions: Permissions,
         raise UsageError(f"--set works only with a scenario; {source} is {kind}, which cannot be changed after the training")
     if opened.kind is SourceKind.RUN:
         run = Run.open(opened)
-        return OpenedSource(run.program, opened.document().root, run)
+        return OpenedSource(run.program, opened.document().root, run, learner=run.record.learner)
     checked = opened.checked(overrides=with_engine(overrides, engine) if opened.kind is SourceKind.SCENARIO else ())
     compiled = api.compile(checked)
-    return OpenedSource(compiled.program, checked.document.root, findings=compiled.findings)
+    with suppress(ScenarioError):  # no algorithm can act in it
+        compiled = api.with_learner(compiled)
+    root = compiled.document.root if compiled.document else None
+    return OpenedSource(compiled.program, root, findings=compiled.findings, learner=compiled.learner)
 
 
 def is_robot(reference: str) -> bool:

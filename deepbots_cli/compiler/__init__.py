@@ -12,6 +12,7 @@ sensing.py      its sensors: kinds, frames on links, rays, cameras, errors
 policy.py       action, observation, goal, scripts, copies of a robot
 places.py       placements, layouts, maps, and whether there is room
 episodes.py     what an episode draws: parameters, channels, disturbances; how it begins; signals, reward, endings, limits
+learner.py      the learner that deepbots chooses for a scenario that names no algorithm
 evaluation.py   training; cases of the evaluation and stages of the curriculum; tests of the scenario
 search.py       the search of `tune`
 inputs.py       the files that the scenario was made from, as a run keeps copies of them
@@ -40,6 +41,7 @@ from deepbots_cli.compiler.episodes import (
 )
 from deepbots_cli.compiler.evaluation import compile_variants, scenario_tests, training
 from deepbots_cli.compiler.inputs import Inputs
+from deepbots_cli.compiler.learner import choose, with_learner
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.policy import Actions, Goals, Observations, copies, scripts
 from deepbots_cli.compiler.robots import ResolvedRobot, load_robot
@@ -54,6 +56,7 @@ from deepbots_cli.program.task import ONLY_AGENT, Agent, Evaluation, ScenarioTes
 from deepbots_cli.scenario.base import visit_values
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.search import SearchSpace
+from deepbots_cli.scenario.training import Auto
 from deepbots_cli.scenario.validate import validate
 
 __all__ = ["CheckedScenario", "check"]
@@ -66,7 +69,8 @@ class CheckedScenario:
     """A document that was checked; `program` is None where findings at error level left nothing to compile.
 
     `variants` are the same for the scenario under the settings of each case and stage. `tests` are those of the file, each compiled
-    under its own case or stage. `search` is the search space of each key under `tune`.
+    under its own case or stage. `search` is the search space of each key under `tune`. `learner` are the reasons for the learner that
+    deepbots chose where the scenario names no algorithm; the document has it under `train`.
     """
 
     document: Document
@@ -78,6 +82,7 @@ class CheckedScenario:
     variants: tuple[CheckedScenario, ...] = ()
     tests: tuple[ScenarioTest, ...] = ()
     search: Mapping[str, SearchSpace] = field(default_factory=dict)
+    learner: tuple[str, ...] = ()
 
     @property
     def inputs(self) -> Inputs:
@@ -94,10 +99,18 @@ class CheckedScenario:
                 checked.namespace.release()
 
 
-def check(document: Document) -> CheckedScenario:
-    """Run all passes that can run; every problem ends up in `findings`, unless they are too many."""
+def check(document: Document, *, to_train: bool = False) -> CheckedScenario:
+    """Run all passes that can run; every problem ends up in `findings`, unless they are too many.
+
+    `to_train` chooses the learner of a scenario without `train` too.
+    """
     try:
         checked = _check(document)
+        train = checked.spec.train if checked.spec is not None else None
+        if checked.program is not None and (isinstance(train, Auto) or (to_train and train is None)):
+            document, learner = with_learner(document, choose(checked.program))
+            checked = replace(_check(document), learner=learner)
+        document = checked.document
         if checked.program is not None and checked.spec is not None and checked.spec.tune is not None:
             search = compile_search(document, checked.program, checked.findings, _check)
             checked = replace(checked, search=search, program=None if checked.findings.errors else checked.program)

@@ -50,6 +50,7 @@ from deepbots_cli.scenario.fields import read_schedule, read_until
 from deepbots_cli.scenario.scenario import DiscreteAction, Expectation, Scenario
 from deepbots_cli.scenario.scenario import ScenarioTest as TestSpec
 from deepbots_cli.scenario.training import ActionNoise as ActionNoiseSpec
+from deepbots_cli.scenario.training import Auto
 from deepbots_cli.scenario.training import Hindsight as HindsightSpec
 from deepbots_cli.scenario.training import Teacher as TeacherSpec
 from deepbots_cli.scenario.training import Training as TrainingSpec
@@ -64,12 +65,12 @@ Action = tuple[Choices | ActionRange, ...]
 
 
 def training(namespace: Namespace, action: Action, copies: RobotCopies | None, longest_episode: int | None) -> Training | None:
-    """The training section; no episode has more than `longest_episode` steps.
+    """The training section; no episode has more than `longest_episode` steps. None where it names no algorithm.
 
     An algorithm that cannot act in this action space is a finding, and so is hindsight without a goal, or before an episode can have ended.
     """
     spec, values = namespace.scenario, namespace.values
-    if spec.train is None:
+    if spec.train is None or isinstance(spec.train, Auto):
         return None
     _check_algorithm(spec.train, action, namespace)
     own = spec.train.hyperparameters

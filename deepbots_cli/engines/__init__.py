@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 ENGINES = ALL.own
 """Our own engines."""
-BATCHES = {"mujoco": "deepbots_cli.engines.mujoco.batch:MuJoCoBatch"}
+BATCHES = {name: kind.batch for name, kind in ENGINES.items() if kind.batch is not None}
 """The engines that hold many worlds of one model at once."""
 _OF_EXTRA_SIM = ("pybullet", "mujoco", "numpy", "trimesh", "yourdfpy")
 

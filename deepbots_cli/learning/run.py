@@ -136,6 +136,7 @@ class RunRecord(BaseModel):
 
     Digests are SHA-256 in hexadecimal. `interface` is what each policy and the world have agreed on, by agent and item
     (`deepbots_cli.program.identity`). `first_stage` is the stage of the curriculum that the training began in, where it was not the first.
+    `learner` are the reasons for a learner that deepbots chose.
     """
 
     model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
@@ -158,6 +159,7 @@ class RunRecord(BaseModel):
     initialized_from: str | None
     callbacks: tuple[str, ...] = ()
     loggers: tuple[str, ...] = ()
+    learner: tuple[str, ...] = ()
     command: tuple[str, ...]
     versions: Mapping[str, str]
     platform: str

@@ -139,7 +139,7 @@ def train(
         RunError: The training diverged; the last good model is kept.
         DeepbotsError: The world, a callback or a logger failed; the message gives step and cause.
     """
-    compiled = api.compile(scenario)
+    compiled = api.with_learner(api.compile(scenario))
     options: TrainingOptions = {"total_timesteps": total_timesteps, "stage": stage, "keep_checkpoints": keep_checkpoints}
     options |= {"initialize_from": initialize_from, "callbacks": callbacks, "loggers": loggers}
     training, source = checked_settings(compiled.program, [seed], **options)
@@ -167,6 +167,7 @@ def train(
         initialized_from=taken_over,
         callbacks=tuple(callbacks),
         loggers=tuple(loggers),
+        learner=compiled.learner,
         command=tuple(command),
         versions=versions(),
         platform=platform.platform(),
@@ -283,7 +284,7 @@ def _training_of(program: Program, total_timesteps: int | None, callbacks: Seque
     if find_spec("tensorboard") is None:  # the log would only notice with the run half made
         raise MissingExtraError("train", "training")
     if program.agent.training is None:
-        raise UsageError(f"{program.name} has no `train` section; add one that names the algorithm")
+        raise UsageError(f"{program.name} has no `train` section; add `train: {{algorithm: auto}}`")
     training = program.agent.training if total_timesteps is None else replace(program.agent.training, total_timesteps=total_timesteps)
     if training.total_timesteps < 1:
         raise UsageError(f"total_timesteps must be at least 1, not {training.total_timesteps}")

@@ -229,13 +229,14 @@ class Kinds:
     """A union of sections that is discriminated by the word under `key`.
 
     `models_by_marker` holds the models that have no such word and are known by another key, `remedies` what to write instead of a key
-    that belongs elsewhere.
+    that belongs elsewhere. Without a word, a section is of the kind `default`, if there is one.
     """
 
     key: str
     models: Mapping[str, type[Section]]
     models_by_marker: Mapping[str, type[Section]] = field(default_factory=dict)
     remedies: Mapping[str, str] = field(default_factory=dict)
+    default: str | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -255,7 +256,7 @@ class Kinds:
             return type(value) if type(value) in self.distinct_models else None
         if not isinstance(value, Mapping):
             return None
-        word = value.get(self.key)
+        word = value.get(self.key, self.default)
         if isinstance(word, str) and word in self.models:
             return self.models[word]
         return next((model for marker, model in self.models_by_marker.items() if word is None and marker in value), None)

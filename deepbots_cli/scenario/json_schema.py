@@ -262,13 +262,16 @@ class _Writer:
     def _kinds(self, shape: Kinds) -> Json:
         key = shape.key
         branches: list[Json] = [
-            {"if": {"properties": {key: {"const": name}}, "required": [key]}, "then": self.reference(model)}
+            {
+                "if": {"properties": {key: {"const": name}}, **({} if name == shape.default else {"required": [key]})},
+                "then": self.reference(model),
+            }
             for name, model in shape.models.items()
         ]
         for marker, model in shape.models_by_marker.items():
             branches.append({"if": {"required": [marker], "not": {"required": [key]}}, "then": self.reference(model)})
         kinds = {"enum": list(shape.models), "enumDescriptions": [section_description(shape.models[name]) for name in shape.models]}
-        first = shape.models[shape.names[0]]
+        first = shape.models[shape.default or shape.names[0]]
         properties: Json = {key: kinds | {"description": _text(first, key, shape.names[0])}}
         properties |= {marker: {"description": _text(model, marker)} for marker, model in shape.models_by_marker.items()}
         return {"type": "object", "properties": properties | {"include": INCLUDE}, "allOf": branches}

@@ -4,6 +4,7 @@ A test compares them with the signatures there. Devices, seeds, classes of buffe
 they are set instead.
 """
 
+from collections import ChainMap
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -14,6 +15,8 @@ from deepbots_cli.scenario.base import FORMS, InsteadOf, Kinds, Many, Section, c
 from deepbots_cli.scenario.fields import Bool, Fraction, Number, PlainText, PositiveInt, Scalar, Schedule, WholeNumber
 
 MAX_SHARDS = 256
+AUTO = "auto"
+"""The algorithm of a `train` section that names none: deepbots chooses it."""
 Weight = Annotated[float, Number(0)]
 Positive = Annotated[float, Number(0, exclusive=True)]
 StepsOrAll = Annotated[int, WholeNumber(-1, 1_000_000_000)]
@@ -305,6 +308,19 @@ class TQC(_SoftActorCritic):
     """Number of highest quantiles to drop per critic."""
 
 
+class Auto(Training):
+    """deepbots chooses the algorithm, and every key that is not given, by the structure of the scenario."""
+
+    algorithm: Literal["auto"] = "auto"
+    """The learning algorithm. By default, deepbots chooses it."""
+    total_timesteps: Annotated[int, WholeNumber(1, 10**12)] | None = None  # type: ignore[assignment]  # chosen as well
+    """Number of steps to train for, summed over all environments."""
+    learning_rate: Schedule | None = None
+    """Learning rate: a number, or a schedule such as `3e-4 -> 0`."""
+    gamma: Fraction | None = None
+    """Discount factor, 0 to 1: a reward that comes n steps later has the weight gamma^n."""
+
+
 def _read(name: str, model: Any) -> Iterator[tuple[str, type[Training]]]:
     """The model that an entry point names.
 
@@ -320,7 +336,7 @@ def _read(name: str, model: Any) -> Iterator[tuple[str, type[Training]]]:
 
 _BUILT_IN = (PPO, A2C, DQN, SAC, TD3, DDPG, MaskablePPO, RecurrentPPO, TQC)
 ALGORITHMS: PluginTable[type[Training]] = PluginTable("deepbots.algorithms", {model.__name__: model for model in _BUILT_IN}, _read)
-AnyTraining = Annotated[Training, Kinds("algorithm", ALGORITHMS)]
+AnyTraining = Annotated[Training, Kinds("algorithm", ChainMap({AUTO: Auto}, ALGORITHMS), default=AUTO)]
 
 SET_ELSEWHERE_HELP: Mapping[str, str] = {
     "seed": "set it on the command line: `deepbots train --seed 1`",

@@ -82,7 +82,7 @@ def command(
         root = with_settings_at(root, ("evaluation", "cases", case))
     elif stage is not None:
         root = with_settings_at(root, ("curriculum", [known.name for known in side.program.curriculum].index(stage)))
-    tables = inspection.scenario_tables(program, root, side.run)
+    tables = inspection.scenario_tables(program, root, side.run, side.learner)
     if full or as_json:
         tables = {**tables, **_poses(program, engine or (side.run.engine_for(program) if side.run else None), permissions)}
     shown = {name: rows for name, rows in tables.items() if full or name in _BRIEF}

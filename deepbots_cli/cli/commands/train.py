@@ -218,7 +218,7 @@ def command(
         listed = None if seeds is None else seed_list(seeds)
         undivided = [*with_engine(overrides, engine), *([] if teacher is None else [f"train.teacher={teacher}"])]
         changed = undivided if shards in (None, "auto") else [*undivided, f"train.shards={shards}"]
-        compiled = api.compile(scenario, overrides=changed, permissions=permissions)
+        compiled = api.with_learner(api.compile(scenario, overrides=changed, permissions=permissions))
         workers = _checked_workers(compiled.program, shards, listed, workers, address)
         terminal.note_warnings(compiled.findings, scenario)
         settings: dict[str, Any] = {
@@ -236,7 +236,7 @@ def command(
         checked_settings(compiled.program, listed or [seed or 0], **settings)
         settings["progress"] = progress
         if progress:
-            _announce(compiled.program, f"seeds {seeds}" if seeds else f"seed {seed or 0}", timesteps, full=full)
+            _announce(compiled, f"seeds {seeds}" if seeds else f"seed {seed or 0}", timesteps, full=full)
             if not as_json:
                 _name_missing_search(compiled.program, scenario)
                 _name_faster_engine(compiled.program, timesteps, permissions=permissions)
@@ -327,12 +327,14 @@ def _names(given: list[str] | None) -> list[str] | None:
     return [] if given == ["none"] else given
 
 
-def _announce(program: Program, seeds: str, timesteps: int | None, *, full: bool) -> None:
-    """Say what is trained, when it ends, and how to end it earlier."""
-    training, solved = program.agent.training, program.agent.solved
+def _announce(compiled: api.Compiled, seeds: str, timesteps: int | None, *, full: bool) -> None:
+    """Say what is trained, by which learner and why, when it ends, and how to end it earlier."""
+    training, solved = compiled.program.agent.training, compiled.program.agent.solved
     if training is not None:
         until = f", or until it is solved ({solved.description})" if solved and not full else ""
-        terminal.note(f"training {program.name} with {training.algorithm} from {seeds}")
+        terminal.note(f"training {compiled.program.name} with {training.algorithm} from {seeds}")
+        for reason in compiled.learner:
+            terminal.note(f"deepbots chose {reason}")
         terminal.note(f"at most {timesteps or training.total_timesteps:,} timesteps{until}; Ctrl-C ends it and keeps the policy")
 
 
