@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from deepbots_cli.diagnostics import Source
 from deepbots_cli.document import Document, Entry, MappingNode, ScalarNode
@@ -21,8 +22,24 @@ SHORT_EPISODE = 256
 """Steps up to which a rollout of 512 steps holds two episodes."""
 FEW_NUMBERS = 32
 """Numbers that the policy sees, up to which two layers of 64 units are enough."""
+LONG_STEP_S = 0.1
+"""Time between two actions (s) from which on an off-policy algorithm needs far fewer steps."""
 CHOSEN = "train, as chosen"
 """The name of the source of chosen values."""
+_SAC: Mapping[str, Any] = {
+    "algorithm": "SAC",
+    "total_timesteps": 100_000,
+    "batch_size": 256,
+    "learning_rate": 1e-3,
+    "network": {"hidden": [128, 128], "activation": "relu"},
+}
+_PPO: Mapping[str, Any] = {
+    "algorithm": "PPO",
+    "total_timesteps": 500_000,
+    "learning_rate": "1e-3 -> 1e-4",
+    "gae_lambda": 0.95,
+    "normalize": "reward",
+}
 _TRAIN, _ALGORITHM = "train", "algorithm"
 
 
@@ -30,56 +47,46 @@ _TRAIN, _ALGORITHM = "train", "algorithm"
 class Choice:
     """The keys of `train` that deepbots chooses, as a scenario writes them, and the reason for some of the keys."""
 
-    settings: Mapping[str, object]
+    settings: Mapping[str, Any]
     reasons: Mapping[str, str]
 
 
 def choose(program: Program) -> Choice:
-    """The learner for a scenario."""
+    """The learner for a scenario: the first row that fits."""
     agent = program.agent
     steps = program.truncation.max_episode_steps(program.period)
-    numbers = len(agent.seen) + (2 * len(agent.goal.values) if agent.goal else 0)
-    gamma = min(max(round(1 - 4 / steps, 2), 0.9), 0.99)
-    horizon = f"gamma {gamma:g}: an episode has at most {steps:,} steps"
-    if agent.goal is not None and not agent.choices:
-        return Choice(
-            {
-                "algorithm": "SAC",
-                "total_timesteps": 200_000,
-                "environments": 4,
-                "replay": "her",
-                "batch_size": 256,
-                "learning_rate": 1e-3,
-                "gamma": gamma,
-                "tau": 0.02,
-                "network": {"hidden": [128, 128], "activation": "relu"},
-            },
-            {"algorithm": "SAC with hindsight replay: the scenario has a goal, and actions are ranges", "gamma": horizon},
-        )
-    masked = any(option.forbidden is not None for part in agent.choices for option in part.options)
-    algorithm, why = ("MaskablePPO", "some choices are forbidden") if masked else ("PPO", "it takes choices and ranges")
-    batch = program.engine is not None and ENGINES[program.engine].batch is not None
-    if steps <= SHORT_EPISODE and numbers <= FEW_NUMBERS and not agent.images:
-        pace = {"total_timesteps": 200_000, "environments": 8, "n_steps": 64, "batch_size": 128, "n_epochs": 10, "learning_rate": 1e-3}
-        size = "an update every 512 steps: episodes are short, and the policy sees few numbers"
-    elif batch:
-        pace = {"total_timesteps": 5_000_000, "environments": 256, "n_steps": 24, "batch_size": 1536, "n_epochs": 5}
-        size = "256 worlds: the engine steps them as one batch"
+    numbers = len(agent.seen) + (2 * len(agent.goal.values) if agent.goal is not None else 0)
+    has_batches = program.engine is not None and ENGINES[program.engine].batch is not None
+    reasons = {}
+
+    if not agent.choices and agent.goal is not None:
+        reasons["algorithm"] = "SAC with hindsight replay: the scenario has a goal"
+        settings = {**_SAC, "environments": 4, "replay": "her", "tau": 0.02}
+    elif not agent.choices and program.period >= LONG_STEP_S:
+        reasons["algorithm"] = f"SAC, which learns from each step many times: a step takes {program.period:g} s"
+        settings = {**_SAC, "environments": 8, "gradient_steps": 4}
+    elif steps <= SHORT_EPISODE and numbers <= FEW_NUMBERS and not agent.images:
+        reasons["environments"] = f"updates every 512 steps: an episode has at most {steps:,} steps, and the policy sees {numbers} numbers"
+        settings = {**_PPO, "environments": 8, "n_steps": 64, "batch_size": 128, "n_epochs": 10, "learning_rate": 1e-3}
+        settings |= {"total_timesteps": 200_000}
+    elif has_batches and not agent.images:
+        reasons["environments"] = f"256 worlds: the engine {program.engine} steps them as one batch"
+        settings = {**_PPO, "environments": 256, "n_steps": 24, "batch_size": 1536, "n_epochs": 5, "total_timesteps": 3_000_000}
     else:
-        pace = {"total_timesteps": 1_000_000, "environments": 16, "n_steps": 128, "batch_size": 256, "n_epochs": 5}
-        size = "an update every 2,048 steps: episodes are long, or the policy sees much"
-    return Choice(
-        {
-            "algorithm": algorithm,
-            "learning_rate": "1e-3 -> 1e-4",
-            **pace,
-            "gamma": gamma,
-            "gae_lambda": 0.95,
-            "normalize": "reward",
-            "network": {"hidden": [64, 64] if numbers <= FEW_NUMBERS else [128, 128]},
-        },
-        {"algorithm": f"{algorithm}: {why}", "environments": size, "gamma": horizon},
-    )
+        much = "images" if agent.images else f"{numbers} numbers"
+        reasons["environments"] = f"updates every 2,048 steps: an episode has at most {steps:,} steps, and the policy sees {much}"
+        settings = {**_PPO, "environments": 16, "n_steps": 128, "batch_size": 256, "n_epochs": 5}
+
+    if settings["algorithm"] == "PPO":
+        is_masked = any(option.forbidden is not None for part in agent.choices for option in part.options)
+        algorithm = "MaskablePPO" if is_masked else "PPO"
+        reasons = {"algorithm": f"{algorithm}: {'some choices are forbidden' if is_masked else 'it suits any action'}"} | reasons
+        settings |= {"algorithm": algorithm, "network": {"hidden": [64, 64] if numbers <= FEW_NUMBERS else [128, 128]}}
+    if agent.copies is not None:
+        settings["environments"] = max(1, settings["environments"] // agent.copies.count)
+    settings["gamma"] = min(max(round(1 - 4 / steps, 2), 0.9), 0.99)
+    reasons["gamma"] = f"gamma {settings['gamma']:g}: it looks {1 / (1 - settings['gamma']):.0f} of at most {steps:,} steps ahead"
+    return Choice(settings, reasons)
 
 
 def with_learner(document: Document, choice: Choice) -> tuple[Document, tuple[str, ...]]:

@@ -256,6 +256,7 @@ def train_group(
         raise UsageError(f"a group needs 1 to {MAX_SEEDS} different seeds")
     from deepbots_cli.learning.training import checked_settings  # which imports torch
 
+    compiled = api.with_learner(compiled)
     checked_settings(compiled.program, seeds, **options)
     path = new_directory(group, runs, compiled.program.name, "seeds")
     record = new_record(compiled, seeds, options)

@@ -345,7 +345,7 @@ def create_study(
         raise UsageError(f"{program.name} has no `tune` section; name what to search: --param train.learning_rate=1e-4..1e-2:log")
     training, solved = program.agent.training, program.agent.solved
     if training is None:
-        raise UsageError(f"{program.name} has no `train` section; add one that names the algorithm")
+        raise UsageError(f"{program.name} has no `train` section; add `train: {{algorithm: auto}}`")
     chosen = objective or tune.objective or ("solved" if solved else "success_rate" if program.defines_success else "mean_return")
     if chosen == "solved" and solved is None:
         raise UsageError(f"the objective `solved` needs the key `solved`, which {program.name} does not have; use --objective mean_return")

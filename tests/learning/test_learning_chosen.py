@@ -21,7 +21,8 @@ EXPECTED = {
     "cartpole": ("PPO", 8),
     "cartpole_continuous": ("PPO", 8),
     "find_and_avoid": ("MaskablePPO", 16),
-    "find_ball": ("PPO", 16),
+    "find_ball": ("SAC", 8),
+    "multi_cartpole": ("PPO", 1),
     "panda_push": ("SAC", 4),
     "panda_reach": ("SAC", 4),
     "quadruped": ("PPO", 256),
@@ -77,7 +78,7 @@ def test_given_values_stay_and_their_reasons_go(tmp_path: Path) -> None:
     assert (known["network"].hidden, known["network"].activation) == ((64, 64), "relu")
     assert (known["learning_rate"].start, known["learning_rate"].end) == (1e-3, 0)
     assert known["n_steps"] == 64
-    assert [reason.split(":")[0] for reason in found.learner] == ["PPO"]
+    assert [reason.split(":")[0] for reason in found.learner] == ["PPO"]  # those for `environments` and `gamma` are gone
 
 
 def test_a_scenario_without_train_is_otherwise_as_before(tmp_path: Path) -> None:
