@@ -572,7 +572,7 @@ class Scenario(Section):
     solved: Annotated[str, Solved()] | None = None
     """When the task is solved: a minimum of `mean_return` or `success_rate` over the last episodes."""
     train: AnyTraining | None = None
-    """How the policy is trained."""
+    """How the policy is trained. Without it, `deepbots train` chooses the learner."""
     tune: Tune | None = None
     """A search for better values of the scenario."""
     tests: dict[LocalName, ScenarioTest] = {}

@@ -158,6 +158,8 @@ def command(
     weights of the best policy of RUN into the new policy: each tensor (array of weights) that has the same name and shape in both. All
     others begin as usual.
 
+    Where the scenario names no algorithm, deepbots chooses it, with its hyperparameters, by the structure of the scenario.
+
     `--logger csv` appends every scalar of TensorBoard to logs/scalars.csv of the run. A resumed run keeps its callbacks and loggers.
     --callback replaces the callbacks, and --logger the loggers; `--callback none` or `--logger none` drops them.
 
