@@ -90,7 +90,7 @@ class _Keys:
         doc = f"`{spec.key}` is one of {_listed(models)}."
         if spec.default is not None:
             chosen = spec.models[spec.default]
-            doc += f" Without it, or with `{spec.default}`, {section_description(chosen)} It takes {_listed(section_fields(chosen))}."
+            doc += f" Without it, or with `{spec.default}`, {section_description(chosen)}"
         yield from self._table(title, doc, sorted(rows, key=lambda row: row[1] != ""), route)
 
     def _table(self, title: str, doc: str, rows: list[tuple[_Key, str]], route: Route) -> Iterator[str]:

@@ -110,7 +110,6 @@ def check(document: Document, *, to_train: bool = False) -> CheckedScenario:
         if checked.program is not None and (isinstance(train, Auto) or (to_train and train is None)):
             document, learner = with_learner(document, choose(checked.program))
             checked = replace(_check(document), learner=learner)
-        document = checked.document
         if checked.program is not None and checked.spec is not None and checked.spec.tune is not None:
             search = compile_search(document, checked.program, checked.findings, _check)
             checked = replace(checked, search=search, program=None if checked.findings.errors else checked.program)

@@ -45,7 +45,7 @@ _TRAIN, _ALGORITHM = "train", "algorithm"
 
 @dataclass(frozen=True)
 class Choice:
-    """The keys of `train` that deepbots chooses, as a scenario writes them, and the reason for some of the keys."""
+    """The keys of `train` that deepbots chooses, as a scenario writes them, and reasons by the keys that they are about."""
 
     settings: Mapping[str, Any]
     reasons: Mapping[str, str]
@@ -66,15 +66,17 @@ def choose(program: Program) -> Choice:
         reasons["algorithm"] = f"SAC, which learns from each step many times: a step takes {program.period:g} s"
         settings = {**_SAC, "environments": 8, "gradient_steps": 4}
     elif steps <= SHORT_EPISODE and numbers <= FEW_NUMBERS and not agent.images:
-        reasons["environments"] = f"updates every 512 steps: an episode has at most {steps:,} steps, and the policy sees {numbers} numbers"
+        reasons["environments n_steps"] = (
+            f"updates every 512 steps: an episode has at most {steps:,} steps, and the policy sees {numbers} numbers"
+        )
         settings = {**_PPO, "environments": 8, "n_steps": 64, "batch_size": 128, "n_epochs": 10, "learning_rate": 1e-3}
         settings |= {"total_timesteps": 200_000}
     elif has_batches and not agent.images:
-        reasons["environments"] = f"256 worlds: the engine {program.engine} steps them as one batch"
+        reasons["environments n_steps"] = f"256 worlds: the engine {program.engine} steps them as one batch"
         settings = {**_PPO, "environments": 256, "n_steps": 24, "batch_size": 1536, "n_epochs": 5, "total_timesteps": 3_000_000}
     else:
         much = "images" if agent.images else f"{numbers} numbers"
-        reasons["environments"] = f"updates every 2,048 steps: an episode has at most {steps:,} steps, and the policy sees {much}"
+        reasons["environments n_steps"] = f"updates every 2,048 steps: an episode has at most {steps:,} steps, and the policy sees {much}"
         settings = {**_PPO, "environments": 16, "n_steps": 128, "batch_size": 256, "n_epochs": 5}
 
     if settings["algorithm"] == "PPO":
@@ -100,4 +102,4 @@ def with_learner(document: Document, choice: Choice) -> tuple[Document, tuple[st
     given = {key: entry for key, entry in written.value.entries.items() if key != _ALGORITHM}
     section = merge(section, replace(written.value, entries=given), _TRAIN)
     root = replace(root, entries=root.entries | {_TRAIN: Entry(written.key, section)})
-    return replace(document, root=root), tuple(reason for key, reason in choice.reasons.items() if key not in given)
+    return replace(document, root=root), tuple(reason for keys, reason in choice.reasons.items() if given.keys().isdisjoint(keys.split()))

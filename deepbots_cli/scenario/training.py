@@ -308,17 +308,16 @@ class TQC(_SoftActorCritic):
     """Number of highest quantiles to drop per critic."""
 
 
-class Auto(Training):
+class Auto(SAC, PPO, MaskablePPO):  # type: ignore[misc]  # `ent_coef` is that of SAC, which takes more
     """deepbots chooses the algorithm, and every key that is not given, by the structure of the scenario."""
 
-    algorithm: Literal["auto"] = "auto"
+    import_path = ""
+    acts_by = Training.acts_by
+
+    algorithm: Literal["auto"] = "auto"  # type: ignore[assignment]  # the word of none of its bases
     """The learning algorithm. By default, deepbots chooses it."""
     total_timesteps: Annotated[int, WholeNumber(1, 10**12)] | None = None  # type: ignore[assignment]  # chosen as well
     """Number of steps to train for, summed over all environments."""
-    learning_rate: Schedule | None = None
-    """Learning rate: a number, or a schedule such as `3e-4 -> 0`."""
-    gamma: Fraction | None = None
-    """Discount factor, 0 to 1: a reward that comes n steps later has the weight gamma^n."""
 
 
 def _read(name: str, model: Any) -> Iterator[tuple[str, type[Training]]]:

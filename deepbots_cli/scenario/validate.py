@@ -36,7 +36,7 @@ from deepbots_cli.scenario.base import (
 )
 from deepbots_cli.scenario.fields import FieldType, error, mismatch
 from deepbots_cli.scenario.scenario import VERSION, Scenario
-from deepbots_cli.scenario.training import SET_ELSEWHERE_HELP, Auto, Training
+from deepbots_cli.scenario.training import SET_ELSEWHERE_HELP, Training
 
 # The language is nine levels deep; each round takes out at least the innermost faulty one.
 _MAX_ROUNDS = 16
@@ -402,9 +402,9 @@ def _help_for_unknown(data: object, path: NodePath) -> str | None:
     known = tuple(section.model_fields)
     here = f"allowed keys: {_listed(known)}"
     kinds = shape_at(Scenario, data, parent, choose=False)
-    others = [name for name, model in kinds.models.items() if key in model.model_fields] if isinstance(kinds, Kinds) else []
-    if others and section is Auto:
-        return f"name the `algorithm` too: {_listed(others)} {'uses' if len(others) == 1 else 'use'} this key; {here}"
+    others = []
+    if isinstance(kinds, Kinds):
+        others = [name for name, model in kinds.models.items() if key in model.model_fields and name != kinds.default]
     if others:
         return f"remove it: only {_listed(others)} {'uses' if len(others) == 1 else 'use'} this key; {here}"
     near = nearest_word(key, known)

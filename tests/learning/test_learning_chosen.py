@@ -71,13 +71,20 @@ def test_auto_is_the_same_as_none(tmp_path: Path) -> None:
 
 
 def test_given_values_stay_and_their_reasons_go(tmp_path: Path) -> None:
-    given = {"gamma": 0.5, "environments": 3, "network": {"activation": "relu"}, "total_timesteps": 1000, "learning_rate": "1e-3 -> 0"}
+    given = {
+        "gamma": 0.5,
+        "n_epochs": 3,
+        "environments": 3,
+        "network": {"activation": "relu"},
+        "total_timesteps": 1000,
+        "learning_rate": "1e-3 -> 0",
+    }
     found = compiled(tmp_path, "cartpole", json.dumps(given))
     known = settings(found)
     assert (known["gamma"], known["environments"], known["total_timesteps"]) == (0.5, 3, 1000)
     assert (known["network"].hidden, known["network"].activation) == ((64, 64), "relu")
     assert (known["learning_rate"].start, known["learning_rate"].end) == (1e-3, 0)
-    assert known["n_steps"] == 64
+    assert (known["n_epochs"], known["n_steps"]) == (3, 64)
     assert [reason.split(":")[0] for reason in found.learner] == ["PPO"]  # those for `environments` and `gamma` are gone
 
 
