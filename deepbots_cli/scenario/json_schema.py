@@ -44,7 +44,7 @@ from deepbots_cli.scenario.base import (
 )
 from deepbots_cli.scenario.fields import COLORS, ColorValue, Expression, FieldType, FilePath, Name, Pattern, Range, Reference, Word
 from deepbots_cli.scenario.scenario import VERSION, Robot, Scenario
-from deepbots_cli.scenario.training import Auto
+from deepbots_cli.scenario.training import Training
 
 Json = dict[str, Any]
 
@@ -278,7 +278,9 @@ class _Writer:
         return {"type": "object", "properties": properties | {"include": INCLUDE}, "allOf": branches}
 
     def _section(self, section: type[Section]) -> Json:
-        properties = {name: self._inherited(section, name) or self._property(section, name) for name in section_fields(section)}
+        properties = {name: self._property(section, name) for name in section_fields(section)}
+        if issubclass(section, Training):
+            properties = {name: self._of_algorithm(name, schema) for name, schema in properties.items()}
         if section is Scenario:
             properties |= _ACROSS_FILES
         schema: Json = {
@@ -290,12 +292,11 @@ class _Writer:
         excluding = [pair for keys in section.key_rules if keys.max == 1 for pair in combinations(keys.names, 2)]
         return schema | ({"allOf": list(map(_excluding, excluding))} if excluding else {})
 
-    def _inherited(self, section: type[Section], key: str) -> Json | None:
-        """A key of `auto` by reference to an algorithm that has it, since the pattern of a number takes most of its text."""
-        if section is not Auto or key in Auto.__annotations__:
-            return None
-        home = next(base.__name__ for base in Auto.__mro__[1:] if key in self.definitions.get(base.__name__, {}).get("properties", {}))
-        return {"$ref": f"#/$defs/{home}/properties/{key}", "description": _text(section, key)}
+    def _of_algorithm(self, key: str, schema: Json) -> Json:
+        """The schema of a key, by reference to an algorithm that has the same: the pattern of a number takes most of its text."""
+        home = next((name for name, written in self.definitions.items() if written.get("properties", {}).get(key) == schema), None)
+        short = {"$ref": f"#/$defs/{home}/properties/{key}", "description": schema["description"]}
+        return short if home is not None and len(json.dumps(short)) < len(json.dumps(schema)) else schema
 
     def _property(self, section: type[Section], key: str) -> Json:
         shape = section_fields(section)[key]
