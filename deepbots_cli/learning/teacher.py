@@ -23,6 +23,9 @@ ENOUGH = 0.95
 """Share of the script's success rate at which imitation alone ends."""
 _FADE_SHARE = 0.3
 """Share of all timesteps in which the weight of the imitation loss falls to 0."""
+_ALONE_SHARE = 1 / 3
+"""Share of the time of imitation in which the script drives all worlds of an off-policy algorithm. A critic that sees nothing but the script
+overrates other actions: on PandaPush with SAC, the policy succeeds in 5 % after 12,200 such steps, and in 95 % after 20,000 with 4,800."""
 _BESIDE = 0.25
 """Share of the worlds in which the script drives beside an off-policy algorithm."""
 _DRIVES_SHARE = 0.5
@@ -118,7 +121,7 @@ class Teaching:
         """For a replay buffer: the script drives all worlds at first, then a share of them until the policy is about as good."""
         if self._imitated_until >= 0:
             return Plan()
-        if steps < self.teacher.share * self._total:
+        if steps < _ALONE_SHARE * self.teacher.share * self._total:
             return Plan(Lesson(self.teacher.script, self._worlds))
         window, each = steps // (self._worlds * self._episode), _BESIDE * self._worlds
         return Plan(Lesson(self.teacher.script, int((window + 1) * each) - int(window * each)))

@@ -111,7 +111,7 @@ def test_a_script_drives_less_and_less_and_then_its_weight_fades() -> None:
 
 
 def test_beside_a_replay_buffer_the_script_drives_a_share_of_the_worlds() -> None:
-    teaching = Teaching(Teacher("by_hand", 0.2), 1000, 2, 10, on_policy=False)
+    teaching = Teaching(Teacher("by_hand", 0.6), 1000, 2, 10, on_policy=False)
     driven = [plan.lesson.worlds for plan in map(teaching.plan, range(0, 1000, 20)) if plan.lesson]
     assert driven[:10] == [2] * 10
     assert sum(driven[10:]) / len(driven[10:]) == pytest.approx(0.25 * 2, abs=0.05)
