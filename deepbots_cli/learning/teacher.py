@@ -24,7 +24,7 @@ ENOUGH = 0.95
 _FADE_SHARE = 0.3
 """Share of all timesteps in which the weight of the imitation loss falls to 0."""
 _ALONE_SHARE = 1 / 3
-"""Share of the time of imitation in which the script drives all worlds of an off-policy algorithm. A critic that sees nothing but the script
+"""Share of the time of imitation in which the script drives all worlds of an off-policy algorithm. A critic that sees only the script
 overrates other actions: on PandaPush with SAC, the policy succeeds in 5 % after 12,200 such steps, and in 95 % after 20,000 with 4,800."""
 _BESIDE = 0.25
 """Share of the worlds in which the script drives beside an off-policy algorithm."""

@@ -54,8 +54,8 @@ class Teacher(Section):
     script: PlainText
     """Name of a script of the scenario. It may use values that the policy does not observe."""
     share: Fraction = 0.3
-    """Largest share of the timesteps in which the policy only imitates the script. With an off-policy algorithm, the script drives for a third
-    of it."""
+    """Largest share of the timesteps in which the policy only imitates the script. With an off-policy algorithm, the script drives for
+    a third of it."""
 
 
 class PolicyNetwork(Section):
