@@ -292,6 +292,8 @@ class TrainingCallback:
             hidden = unobserved_reads(scenario, teaching.teacher.script)
             reads = f"; the policy does not observe what it reads: {', '.join(hidden)}" if hidden else ""
             self.reporter.note(teaching.begin(stage, played, scenario.defines_success) + reads)
+        if self.learner.agreement is not None:
+            teaching.agreement = self.learner.agreement
         drove, plan = teaching.drives, teaching.plan(self.statistics.steps)
         if drove and not teaching.drives:
             self.statistics.recent.clear()

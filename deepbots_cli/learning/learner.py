@@ -116,6 +116,9 @@ class Learner(ABC):
     def collect(self) -> bool:
         """Collect the next fragment; False if the monitor of the training stopped it before."""
 
+    agreement: float | None = None
+    """In which share of the states of the last fragment the policy does what its teacher would do; None before an update that imitates."""
+
     def be_taught(self, plan: Plan) -> None:
         """Called before each fragment of a training with a teacher.
 

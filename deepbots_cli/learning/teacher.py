@@ -1,8 +1,9 @@
 """A script as teacher: when the policy imitates it, and how much.
 
-At first the policy only imitates: the script drives some of the worlds, fewer and fewer, and says in every state what it would do (DAgger;
-S. Ross, G. Gordon, D. Bagnell, AISTATS 2011). The critic learns meanwhile. This ends when an evaluation shows that the policy is about as
-good as the script, or after a share of all timesteps. Then the algorithm learns as usual, with an imitation loss whose weight fades.
+At first the policy only imitates: the script drives some of the worlds, fewer and fewer with time and agreement, and says in every state
+what it would do (DAgger; S. Ross, G. Gordon, D. Bagnell, AISTATS 2011). The critic learns meanwhile. This ends when an evaluation shows
+that the policy is about as good as the script, or after a share of all timesteps. Then the algorithm learns as usual, with an imitation loss
+whose weight fades.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ class TeacherState(BaseModel, strict=True, allow_inf_nan=False):
     stage: Annotated[int, Field(ge=0)]
     imitated_until: Annotated[int, Field(ge=-1)]
     drives: bool
+    agreement: Annotated[float, Field(ge=0, le=1)]
 
 
 class Teaching:
@@ -72,6 +74,8 @@ class Teaching:
         """The score of the script from the starts of the evaluations."""
         self.drives = False
         """Whether the script drives some of the worlds, now or later."""
+        self.agreement = 0.0
+        """The share of the newest states in which a policy that imitates does what the script would do."""
         self._stage, self._imitated_until = 0, -1
 
     @property
@@ -95,7 +99,7 @@ class Teaching:
             reason = f"the teacher `{name}` succeeds in none of {len(episodes)} episodes ({mean})"
             raise UsageError(f"{reason}; try it with: deepbots try SCENARIO --driver {name}")
         if stage != self._stage:
-            self._stage, self._imitated_until = stage, -1
+            self._stage, self._imitated_until, self.agreement = stage, -1, 0.0
         success = f"success {found.success_rate:.0%}, " if defines_success else ""
         return f"the teacher {name}: {success}{mean} in {len(episodes)} episodes"
 
@@ -112,7 +116,7 @@ class Teaching:
         if self._imitated_until < 0 and steps >= limit:
             self._imitated_until = steps
         if self._imitated_until < 0:
-            driven = max(0.0, 1.0 - steps / max(1.0, _DRIVES_SHARE * limit))
+            driven = min(max(0.0, 1.0 - steps / max(1.0, _DRIVES_SHARE * limit)), 1.0 - self.agreement)
             return Plan(Lesson(self.teacher.script, round(driven * self._worlds)), 1.0, True)
         weight = 1.0 - (steps - self._imitated_until) / (_FADE_SHARE * self._total)
         return Plan(Lesson(self.teacher.script, 0), weight) if weight > 0.0 else Plan()
@@ -139,7 +143,8 @@ class Teaching:
             self._imitated_until = steps
 
     def state(self) -> TeacherState:
-        return TeacherState(stage=self._stage, imitated_until=self._imitated_until, drives=self.drives)
+        return TeacherState(stage=self._stage, imitated_until=self._imitated_until, drives=self.drives, agreement=self.agreement)
 
     def restore(self, state: TeacherState) -> None:
-        self._stage, self._imitated_until, self.drives = state.stage, state.imitated_until, state.drives
+        self._stage, self._imitated_until = state.stage, state.imitated_until
+        self.drives, self.agreement = state.drives, state.agreement

@@ -29,7 +29,7 @@ CASES = {
         [
             *BALANCER,
             "train.teacher={script: lean, share: 0.7}",
-            "curriculum=[{name: low, set: {limit: 20 deg}, until: 'mean_return >= 1 over 4 episodes'}, {name: usual}]",
+            "curriculum=[{name: low, set: {limit: 20 deg}, until: mean_return >= 1 over 2 episodes}, {name: usual}]",
         ],
     ),
     "SAC": (

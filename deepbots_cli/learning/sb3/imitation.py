@@ -43,6 +43,7 @@ class Lessons:
 
     def __init__(self, model: Any) -> None:
         self._model = model
+        model.rollout_buffer.reset()  # an update has reordered it
         seen = model.rollout_buffer.observations
         width = sum(part[0].nbytes for part in (seen.values() if isinstance(seen, dict) else [seen]))
         self.buffer_size = max(model.n_steps, min(_MAX_ROWS // model.n_envs, _MAX_BYTES // width))
@@ -102,8 +103,7 @@ def only_imitating(model: Any, lessons: Lessons, taught: Array) -> Iterator[None
     Args:
         taught: What the teacher would do in the states of the rollout buffer, of shape (steps, rows, ...).
     """
-    lessons.add(taught)
-    model.logger.record("teacher/agreement", _agreement(model, taught))
+    lessons.add(taught)  # before the update, which reorders the rollout buffer
     own = {name: getattr(model, name) for name in ("ent_coef", "target_kl") if hasattr(model, name)}
     model.rollout_buffer.advantages[...] = 0.0
     model.ent_coef = 0.0
@@ -152,7 +152,7 @@ def imitating(model: Any, taught: Array, weight: float) -> Iterator[None]:
     model.logger.record("teacher/weight", weight)
 
 
-def _agreement(model: Any, taught: Array) -> float:
+def agreement(model: Any, taught: Array) -> float:
     """The share of the states of the rollout buffer in which the policy, without exploration, does what the teacher would do."""
     seen = model.rollout_buffer.observations
     flat: Any = (

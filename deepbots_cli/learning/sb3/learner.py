@@ -29,7 +29,7 @@ from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointS
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
 from deepbots_cli.learning.sb3 import algorithms, models, networks, rollouts, state
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment, as_returned, spaces_only
-from deepbots_cli.learning.sb3.imitation import Lessons, imitating, only_imitating
+from deepbots_cli.learning.sb3.imitation import Lessons, agreement, imitating, only_imitating
 from deepbots_cli.learning.sb3.logs import encoded, number_of
 from deepbots_cli.learning.teacher import Plan
 from deepbots_cli.program.task import Training
@@ -185,6 +185,8 @@ class StableLearner(Learner):
         if self._taught is None:
             return nullcontext()
         if self._lessons is not None:
+            self.agreement = agreement(self.model, self._taught)
+            self.model.logger.record("teacher/agreement", self.agreement)
             return only_imitating(self.model, self._lessons, self._taught)
         return imitating(self.model, self._taught, self._plan.weight)
 
