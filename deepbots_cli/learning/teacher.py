@@ -2,8 +2,8 @@
 
 At first the policy only imitates: the script drives some of the worlds, fewer and fewer with time and agreement, and says in every state
 what it would do (DAgger; S. Ross, G. Gordon, D. Bagnell, AISTATS 2011). The critic learns meanwhile. This ends when an evaluation shows
-that the policy is about as good as the script, or after a share of all timesteps. Then the algorithm learns as usual, with an imitation loss
-whose weight fades.
+that the policy is about as good as the script, or after a share of all timesteps. Then the algorithm learns as usual, with an imitation
+loss whose weight fades.
 """
 
 from __future__ import annotations
