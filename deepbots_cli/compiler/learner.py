@@ -78,6 +78,7 @@ def choose(program: Program) -> Choice:
         much = "images" if agent.images else f"{numbers} numbers"
         reasons["environments n_steps"] = f"updates every 2,048 steps: an episode has at most {steps:,} steps, and the policy sees {much}"
         settings = {**_PPO, "environments": 16, "n_steps": 128, "batch_size": 256, "n_epochs": 5}
+        settings |= {"learning_rate": 5e-4} if agent.images else {}
 
     if settings["algorithm"] == "PPO":
         is_masked = any(option.forbidden is not None for part in agent.choices for option in part.options)
