@@ -314,10 +314,12 @@ class TrainingCallback:
     def progress(self) -> TrainingProgress:
         s = self.statistics
         stage = self.curriculum.describe(s.steps) if self.curriculum.stages else ""
-        success_rate = s.success_rate if self.defines_success else None
+        success_rate, mean_return = s.success_rate if self.defines_success else None, s.mean_return
+        if self.is_taught:
+            success_rate, mean_return, stage = None, None, f"{stage}; the teacher drives" if stage else "the teacher drives"
         best = self.best.mean_return if self.best else None
         return TrainingProgress(
-            s.steps, self.total, s.episodes, s.mean_return, success_rate, stage, s.solved, best, s.period, self._evaluations
+            s.steps, self.total, s.episodes, mean_return, success_rate, stage, s.solved, best, s.period, self._evaluations
         )
 
     def _report(self) -> None:

@@ -24,11 +24,9 @@ ENOUGH = 0.95
 """Share of the script's success rate at which imitation alone ends."""
 _FADE_SHARE = 0.3
 """Share of all timesteps in which the weight of the imitation loss falls to 0."""
-_ALONE_SHARE = 1 / 3
+_DEMONSTRATES_SHARE = 1 / 3
 """Share of the time of imitation in which the script drives all worlds of an off-policy algorithm. A critic that sees only the script
 overrates other actions: on PandaPush with SAC, the policy succeeds in 5 % after 12,200 such steps, and in 95 % after 20,000 with 4,800."""
-_BESIDE = 0.25
-"""Share of the worlds in which the script drives beside an off-policy algorithm."""
 _DRIVES_SHARE = 0.5
 """Share of the time of imitation in which the script drives some of the worlds."""
 
@@ -64,16 +62,15 @@ class Teaching:
         teacher: The teacher of the scenario.
         total: Timesteps of the training.
         worlds: Number of its worlds.
-        episode: The largest length of an episode in steps.
         on_policy: Whether the algorithm learns from its own actions only.
     """
 
-    def __init__(self, teacher: Teacher, total: int, worlds: int, episode: int, *, on_policy: bool) -> None:
-        self.teacher, self._total, self._worlds, self._episode, self._on_policy = teacher, total, worlds, episode, on_policy
+    def __init__(self, teacher: Teacher, total: int, worlds: int, *, on_policy: bool) -> None:
+        self.teacher, self._total, self._worlds, self._on_policy = teacher, total, worlds, on_policy
         self.score: Summary | None = None
         """The score of the script from the starts of the evaluations."""
         self.drives = False
-        """Whether the script drives some of the worlds, now or later."""
+        """Whether the script drives some of the worlds."""
         self.agreement = 0.0
         """The share of the newest states in which a policy that imitates does what the script would do."""
         self._stage, self._imitated_until = 0, -1
@@ -106,29 +103,22 @@ class Teaching:
     def plan(self, steps: int) -> Plan:
         """What to do in a fragment after `steps` timesteps."""
         plan = self._plan(steps)
-        self.drives = self.imitates if not self._on_policy else plan.lesson is not None and plan.lesson.worlds > 0
+        self.drives = plan.lesson is not None and plan.lesson.worlds > 0
         return plan
 
     def _plan(self, steps: int) -> Plan:
         limit = self.teacher.share * self._total
-        if not self._on_policy:
-            return self._demonstrations(steps)
+        if not self._on_policy:  # its steps stay in the replay buffer
+            limit *= _DEMONSTRATES_SHARE
         if self._imitated_until < 0 and steps >= limit:
             self._imitated_until = steps
-        if self._imitated_until < 0:
+        if not self._on_policy:
+            return Plan(Lesson(self.teacher.script, self._worlds)) if self.imitates else Plan()
+        if self.imitates:
             driven = min(max(0.0, 1.0 - steps / max(1.0, _DRIVES_SHARE * limit)), 1.0 - self.agreement)
             return Plan(Lesson(self.teacher.script, round(driven * self._worlds)), 1.0, True)
         weight = 1.0 - (steps - self._imitated_until) / (_FADE_SHARE * self._total)
         return Plan(Lesson(self.teacher.script, 0), weight) if weight > 0.0 else Plan()
-
-    def _demonstrations(self, steps: int) -> Plan:
-        """For a replay buffer: the script drives all worlds at first, then a share of them until the policy is about as good."""
-        if self._imitated_until >= 0:
-            return Plan()
-        if steps < _ALONE_SHARE * self.teacher.share * self._total:
-            return Plan(Lesson(self.teacher.script, self._worlds))
-        window, each = steps // (self._worlds * self._episode), _BESIDE * self._worlds
-        return Plan(Lesson(self.teacher.script, int((window + 1) * each) - int(window * each)))
 
     def on_evaluation(self, found: Summary, steps: int, *, defines_success: bool, is_solved: bool) -> None:
         """Called with the summary of each evaluation, and whether it meets what `solved` requires."""

@@ -360,7 +360,6 @@ def run_training(
             training.teacher,
             training.total_timesteps,
             training.environments,
-            longest_episode(run.program),
             on_policy=ALGORITHMS[training.algorithm].on_policy,
         )
     if checkpoints.state is not None:

@@ -188,6 +188,11 @@ SHIPPED = {
         f"FindBall {algorithm}": ("find_ball_random", f"algorithm: {algorithm}, total_timesteps: 2400, environments: 2")
         for algorithm in ("TD3", "SAC", "DDPG")
     },
+    "FindBall PPO, teacher": (
+        "find_ball_random",
+        "algorithm: PPO, total_timesteps: 8000, environments: 4, n_steps: 64, batch_size: 64, teacher: {script: along_path, share: 0.6}",
+    ),
+    "FindBall SAC, teacher": ("find_ball_random", "algorithm: SAC, total_timesteps: 2400, environments: 2, teacher: along_path"),
 }
 """Shipped scenarios in the simulator: the scenario, and its section `train`. FindBall goes through its curriculum by steps."""
 
@@ -254,7 +259,8 @@ def test_so_do_many(tmp_path: Path, name: str, trainings: int) -> None:
         for name in ("TD3", "SAC", "DDPG")
         for task, count in (("CartPole", 3), ("FindBall", 2))
         for seed in range(count)
-    ],
+    ]
+    + [(f"FindBall {name}, teacher", seed) for name in ("PPO", "SAC") for seed in range(5)],
 )
 def test_so_does_a_training_in_the_simulator(tmp_path: Path, name: str, seed: int) -> None:
     survives(name, tmp_path, 1 + seed % 3, seed)
