@@ -14,7 +14,6 @@ from typing import Annotated
 
 from pydantic import BaseModel, Field
 
-from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.episodes import Summary
 from deepbots_cli.program.task import Teacher
 from deepbots_cli.rollout import Episode
@@ -73,7 +72,7 @@ class Teaching:
         """Whether the script drives some of the worlds."""
         self.agreement = 0.0
         """The share of the newest states in which a policy that imitates does what the script would do."""
-        self._stage, self._imitated_until = 0, -1
+        self._stage, self._imitated_until, self._is_able = 0, -1, True
 
     @property
     def imitates(self) -> bool:
@@ -87,16 +86,13 @@ class Teaching:
     def begin(self, stage: int, episodes: Sequence[Episode], defines_success: bool) -> str:
         """Take over the episodes of the script in a stage of the curriculum; its score in a sentence. A new stage begins with lessons.
 
-        Raises:
-            UsageError: No episode of the script succeeds.
+        If none of them succeeds, the script does not teach in this stage.
         """
         self.score = found = Summary.of_episodes(episodes)
         name, mean = self.teacher.script, f"mean return {found.mean_return:.3g}"
-        if defines_success and not found.success_rate:
-            reason = f"the teacher `{name}` succeeds in none of {len(episodes)} episodes ({mean})"
-            raise UsageError(f"{reason}; try it with: deepbots try SCENARIO --driver {name}")
         if stage != self._stage:
             self._stage, self._imitated_until, self.agreement = stage, -1, 0.0
+        self._is_able = bool(found.success_rate) or not defines_success
         success = f"success {found.success_rate:.0%}, " if defines_success else ""
         return f"the teacher {name}: {success}{mean} in {len(episodes)} episodes"
 
@@ -107,6 +103,8 @@ class Teaching:
         return plan
 
     def _plan(self, steps: int) -> Plan:
+        if not self._is_able:
+            return Plan()
         limit = self.teacher.share * self._total
         if not self._on_policy:  # its steps stay in the replay buffer
             limit *= _DEMONSTRATES_SHARE

@@ -23,12 +23,21 @@ from deepbots_cli.errors import DeepbotsError, MissingExtraError, PluginError, R
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning import learner as learners
 from deepbots_cli.learning import shards
-from deepbots_cli.learning.callbacks import UNLIMITED_SHARE, Evaluator, OnEvaluation, TrainingCallback, check_finite, signals_handled
+from deepbots_cli.learning.callbacks import (
+    EVALUATION_EPISODES,
+    UNLIMITED_SHARE,
+    EvaluationWorld,
+    Evaluator,
+    OnEvaluation,
+    TrainingCallback,
+    check_finite,
+    signals_handled,
+)
 from deepbots_cli.learning.checkpoint_files import damage_explained, latest_checkpoint
 from deepbots_cli.learning.checkpoints import Checkpoints
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.environments import WorldFactory, stepping_text, supervisor_factory
-from deepbots_cli.learning.episodes import MAX_STEPS, EpisodeLog, Statistics
+from deepbots_cli.learning.episodes import MAX_STEPS, EpisodeLog, Statistics, Summary
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.report import Reporter, reporter
 from deepbots_cli.learning.run import (
@@ -51,7 +60,7 @@ from deepbots_cli.learning.sb3.logs import TrainingLog
 from deepbots_cli.learning.shards import THIS_PROCESS, Placement
 from deepbots_cli.learning.teacher import Teaching
 from deepbots_cli.program import Program, identity
-from deepbots_cli.program.task import Training
+from deepbots_cli.program.task import Teacher, Training
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.collector import Answer, Collector, CollectTimes, LocalCollector, ShardedCollector
 from deepbots_cli.rollout.source import Source, SourceKind
@@ -146,6 +155,8 @@ def train(
     engine = engine_kinds.chosen(engine or compiled.program.engine)
     build = build or supervisor_factory(engine, permissions=compiled.permissions)
     taken_over = _validate_setup(compiled.program, training, build, source)
+    if training.teacher is not None:
+        _check_teacher(training.teacher, compiled.program, stage, build, seed)
     path = new_directory(run, runs, compiled.program.name, seed)
     seeds = {f"environment/{i}": derive_seed(seed, "environment", i) for i in range(training.environments)}
     record = RunRecord(
@@ -433,6 +444,25 @@ def run_training(
                 write_record(run.path, before)
     stopped = callback.interruption.requested or status == "interrupted"
     return TrainingResult(run=run.path, initialized_from=run.record.initialized_from, stop_requested=stopped, **vars(result))
+
+
+def _check_teacher(teacher: Teacher, program: Program, stage: str | None, build: WorldFactory, seed: int) -> None:
+    """Play episodes of a teacher in the first stage of a training, until one succeeds.
+
+    Raises:
+        UsageError: None does.
+    """
+    first = next((one.program for one in program.curriculum if stage in (None, one.name)), program)
+    if not first.defines_success:
+        return
+    world = EvaluationWorld(build, seed)
+    for count in (1, EVALUATION_EPISODES):
+        played = world.play_script(teacher.script, first, count)
+        if any(episode.is_success for episode in played):
+            return
+    found = f"the teacher `{teacher.script}` succeeds in none of {len(played)} episodes"
+    found += f" (mean return {Summary.of_episodes(played).mean_return:.3g})"
+    raise UsageError(f"{found}; try it with: deepbots try SCENARIO --driver {teacher.script}")
 
 
 def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoints) -> DeepbotsError:

@@ -187,6 +187,7 @@ _PATHS: tuple[tuple[str, str, Effect], ...] = (
     (_AGENT + "(solved)", r"\1", Effect.training),
     (r"evaluation/(\w+)", r"evaluation.\1", Effect.training),
     (_AGENT + r"training/(algorithm|total_timesteps|environments|action_noise|replay|normalize|device)", r"train.\1", Effect.training),
+    (_AGENT + "training/teacher", "train.teacher", Effect.training),
     (_AGENT + r"training/network/(\w+)", r"train.network.\1", Effect.training),
     (_AGENT + r"training/hyperparameters/([^/]+)", r"train.\1", Effect.training),
     (_AGENT + r"scripts/([^/]+)", r"scripts.\1", Effect.training),
