@@ -51,18 +51,19 @@ class Choice:
     reasons: Mapping[str, str]
 
 
-def choose(program: Program) -> Choice:
-    """The learner for a scenario: the first row that fits."""
+def choose(program: Program, *, has_teacher: bool = False) -> Choice:
+    """The learner for a scenario: the first row that fits. Only algorithms that are on-policy imitate a teacher."""
     agent = program.agent
     steps = program.truncation.max_episode_steps(program.period)
     numbers = len(agent.seen) + (2 * len(agent.goal.values) if agent.goal is not None else 0)
     has_batches = program.engine is not None and ENGINES[program.engine].batch is not None
     reasons = {}
 
-    if not agent.choices and agent.goal is not None:
+    may_be_off_policy = not agent.choices and not has_teacher
+    if may_be_off_policy and agent.goal is not None:
         reasons["algorithm"] = "SAC with hindsight replay: the scenario has a goal"
         settings = {**_SAC, "environments": 4, "replay": "her", "tau": 0.02}
-    elif not agent.choices and program.period >= LONG_STEP_S:
+    elif may_be_off_policy and program.period >= LONG_STEP_S:
         reasons["algorithm"] = f"SAC, which learns from each step many times: a step takes {program.period:g} s"
         settings = {**_SAC, "environments": 8, "gradient_steps": 4}
     elif steps <= SHORT_EPISODE and numbers <= FEW_NUMBERS and not agent.images:
@@ -71,7 +72,7 @@ def choose(program: Program) -> Choice:
         )
         settings = {**_PPO, "environments": 8, "n_steps": 64, "batch_size": 128, "n_epochs": 10, "learning_rate": 1e-3}
         settings |= {"total_timesteps": 200_000}
-    elif has_batches and not agent.images:
+    elif has_batches and not agent.images and not has_teacher:
         reasons["environments n_steps"] = f"256 worlds: the engine {program.engine} steps them as one batch"
         settings = {**_PPO, "environments": 256, "n_steps": 24, "batch_size": 1536, "n_epochs": 5, "total_timesteps": 3_000_000}
     else:
@@ -83,7 +84,9 @@ def choose(program: Program) -> Choice:
     if settings["algorithm"] == "PPO":
         is_masked = any(option.forbidden is not None for part in agent.choices for option in part.options)
         algorithm = "MaskablePPO" if is_masked else "PPO"
-        reasons = {"algorithm": f"{algorithm}: {'some choices are forbidden' if is_masked else 'it suits any action'}"} | reasons
+        reasons = {
+            "algorithm": f"{algorithm}: {'some choices are forbidden' if is_masked else 'it imitates a teacher' if has_teacher else 'it suits any action'}"
+        } | reasons
         settings |= {"algorithm": algorithm, "network": {"hidden": [64, 64] if numbers <= FEW_NUMBERS else [128, 128]}}
     if agent.copies is not None:
         settings["environments"] = max(1, settings["environments"] // agent.copies.count)

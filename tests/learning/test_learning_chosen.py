@@ -70,6 +70,11 @@ def test_auto_is_the_same_as_none(tmp_path: Path) -> None:
     assert none.resolved == auto.resolved
 
 
+def test_with_a_teacher_the_policy_learns_by_imitation(tmp_path: Path) -> None:
+    assert settings(compiled(tmp_path, "panda_push", "{teacher: by_hand}"))["algorithm"] == "PPO"
+    assert settings(compiled(tmp_path, "quadruped", "{teacher: trot}"))["environments"] == 16
+
+
 def test_given_values_stay_and_their_reasons_go(tmp_path: Path) -> None:
     given = {
         "gamma": 0.5,
