@@ -108,7 +108,8 @@ def check(document: Document, *, to_train: bool = False) -> CheckedScenario:
         checked = _check(document)
         train = checked.spec.train if checked.spec is not None else None
         if checked.program is not None and (isinstance(train, Auto) or (to_train and train is None)):
-            document, learner = with_learner(document, choose(checked.program, has_teacher=train is not None and train.teacher is not None))
+            chosen = choose(checked.program, has_teacher=train is not None and train.teacher is not None)
+            document, learner = with_learner(document, chosen)
             checked = replace(_check(document), learner=learner)
         if checked.program is not None and checked.spec is not None and checked.spec.tune is not None:
             search = compile_search(document, checked.program, checked.findings, _check)
