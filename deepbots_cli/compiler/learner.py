@@ -84,9 +84,8 @@ def choose(program: Program, *, has_teacher: bool = False) -> Choice:
     if settings["algorithm"] == "PPO":
         is_masked = any(option.forbidden is not None for part in agent.choices for option in part.options)
         algorithm = "MaskablePPO" if is_masked else "PPO"
-        reasons = {
-            "algorithm": f"{algorithm}: {'some choices are forbidden' if is_masked else 'it imitates a teacher' if has_teacher else 'it suits any action'}"
-        } | reasons
+        why = "some choices are forbidden" if is_masked else "it imitates a teacher" if has_teacher else "it suits any action"
+        reasons = {"algorithm": f"{algorithm}: {why}"} | reasons
         settings |= {"algorithm": algorithm, "network": {"hidden": [64, 64] if numbers <= FEW_NUMBERS else [128, 128]}}
     if agent.copies is not None:
         settings["environments"] = max(1, settings["environments"] // agent.copies.count)
