@@ -114,3 +114,10 @@ def test_with_a_replay_buffer_the_script_drives_all_worlds_at_first() -> None:
     teaching = Teaching(Teacher("by_hand", 0.6), 1000, 2, on_policy=False)
     driven = [plan.lesson.worlds if plan.lesson else 0 for plan in map(teaching.plan, range(0, 1000, 20))]
     assert driven == [2] * 10 + [0] * 40
+
+
+def test_an_algorithm_that_cannot_imitate_is_refused_before_a_run_is_made(tmp_path: Path) -> None:
+    changes = ["train={algorithm: RecurrentPPO, total_timesteps: 1000, teacher: rocking}"]
+    with pytest.raises(UsageError, match="RecurrentPPO cannot learn from a teacher"):
+        train(api.compile("pit_escape", overrides=changes), run=tmp_path / "run")
+    assert not (tmp_path / "run").exists()

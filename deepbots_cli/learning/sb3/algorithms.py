@@ -179,8 +179,9 @@ def collects_as_usual(training: Training, model: BaseAlgorithm) -> bool:
 
 
 def check(training: Training) -> None:
-    """Raises: UsageError: The table does not hold the algorithm, or the networks would be larger than any memory."""
-    _entry(training.algorithm)
+    """Raises: UsageError: The table does not hold the algorithm, it cannot be taught, or the networks would be larger than any memory."""
+    if training.teacher is not None and _entry(training.algorithm).base() == "RecurrentPPO":
+        raise UsageError(f"{training.algorithm} cannot learn from a teacher; leave out `teacher` under `train`")
     hidden = training.network.hidden
     if len(hidden) > _MOST_LAYERS:
         raise UsageError(f"a policy has at most {_MOST_LAYERS} hidden layers")
