@@ -264,6 +264,7 @@ class TrainingCallback:
         self.learner, self.log = learner, log
 
     def state(self) -> CallbackState:
+        self._take_agreement()
         return CallbackState(
             next_beat=self._next_check,
             best=self.best,
@@ -286,19 +287,23 @@ class TrainingCallback:
         """What the teacher does next. Episodes that it drives say nothing about the policy, so they do not solve the task."""
         teaching = self.teaching
         assert teaching is not None
+        self._take_agreement()
         if not teaching.knows(stage := self.curriculum.index):
             scenario = self.curriculum.scenario_of(stage)
             played = self.evaluator.play_script(teaching.teacher.script, scenario)
             hidden = unobserved_reads(scenario, teaching.teacher.script)
             reads = f"; the policy does not observe what it reads: {', '.join(hidden)}" if hidden else ""
             self.reporter.note(teaching.begin(stage, played, scenario.defines_success) + reads)
-        if self.learner.agreement is not None:
-            teaching.agreement = self.learner.agreement
         drove, plan = teaching.drives, teaching.plan(self.statistics.steps)
         if drove and not teaching.drives:
             self.statistics.recent.clear()
         self.statistics.final = self.curriculum.is_last and not teaching.drives
         return plan
+
+    def _take_agreement(self) -> None:
+        """A checkpoint lies between the update that measures the agreement and the plan that follows from it."""
+        if self.teaching is not None and self.learner.agreement is not None:
+            self.teaching.agreement = self.learner.agreement
 
     @property
     def is_taught(self) -> bool:
