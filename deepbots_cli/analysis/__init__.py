@@ -350,7 +350,7 @@ def possible_returns(program: Program) -> tuple[float, float]:
 
 
 def unobserved_reads(program: Program, script: str) -> list[str]:
-    """What a script reads and the policy does not observe: names and calls as the script writes them.
+    """What a script reads and the policy does not observe, as the scenario writes it: for a signal, the parts that are not observed.
 
     A value is observed if everything that it is computed from belongs to the observation or the goal. Noise and clipping are left out.
     """
@@ -362,11 +362,20 @@ def unobserved_reads(program: Program, script: str) -> list[str]:
 
     goal = () if agent.goal is None else (agent.goal.achieved, agent.goal.desired)
     seen = sources(tree for value in (*(entry.value for entry in agent.observation), *goal) for tree in analysis.scalars(value))
-    found = {}
-    for value in (value for part in program.script(script).parts for value in part.values):
+    signals = {signal.name: signal for signal in program.signals}
+    found: dict[str, None] = {}
+    waiting = [value for part in program.script(script).parts for value in part.values]
+    for value in waiting:
         for node in _reads_in(value.typed):
-            found[value.text[node.start : node.end]] = sources(analysis.lowered(node, value.owner)) <= seen
-    return [text for text, is_observed in found.items() if not is_observed]
+            text = value.text[node.start : node.end]
+            if sources(analysis.lowered(node, value.owner)) <= seen:
+                continue
+            signal = signals.pop(text.partition(".")[0], None) if not isinstance(node, Invocation) else None
+            if signal is not None:
+                waiting.append(signal)
+            elif isinstance(node, Invocation) or text.partition(".")[0] not in {each.name for each in waiting}:
+                found[text] = None
+    return list(found)
 
 
 def _reads_in(node: Typed) -> Iterator[Typed]:

@@ -52,7 +52,7 @@ class Choice:
 
 
 def choose(program: Program, *, has_teacher: bool = False) -> Choice:
-    """The learner for a scenario: the first row that fits. Only algorithms that are on-policy imitate a teacher."""
+    """The learner for a scenario: the first row that fits. With a teacher it is PPO, which imitates in the least CPU time."""
     agent = program.agent
     steps = program.truncation.max_episode_steps(program.period)
     numbers = len(agent.seen) + (2 * len(agent.goal.values) if agent.goal is not None else 0)

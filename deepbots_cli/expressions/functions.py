@@ -423,7 +423,8 @@ _ENTRIES = (
     Function("visible", _OF_WORLD, (_CAMERA, _SEEN), "Whether the newest image of a camera shows a body.", "visible(rover.eye, ball)",
              _NUMBER, boolean=True),
     Function("contact", _OF_WORLD, (_BODIES, _TOUCHED),
-             "Whether two bodies touched in this timestep. It is always false for two links of the same robot.",
+             "Whether two bodies touched in this timestep. A robot counts with all of its links. It is always false for two links of "
+             "the same robot.",
              "contact(ball, ground)", _NUMBER, boolean=True),
     Function("collided", _OF_WORLD, (_BODIES,), "Whether a body touched anything other than the ground in this timestep.",
              "collided(rover)",

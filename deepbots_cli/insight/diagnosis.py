@@ -624,7 +624,7 @@ def script_succeeds(t: TrainingEvidence) -> Numbers | None:
 
 def _has_teacher(t: TrainingEvidence) -> bool:
     training = t.program.agent.training
-    return training is not None and training.teacher is not None
+    return t.run.demonstrations.exists() or (training is not None and training.teacher is not None)
 
 
 def teacher_sees_more(t: TrainingEvidence) -> Numbers | None:

@@ -25,6 +25,8 @@ from deepbots_cli.view.plots import (
     plot_endings,
     plot_evaluation,
     plot_evaluations,
+    plot_lessons,
+    plot_teacher,
     style_panel,
     term_styles,
 )
@@ -57,28 +59,42 @@ def _with_legend(figure: Figure, height: float) -> Figure:
 
 
 def returns(logs: Sequence[TrainingLog], theme: str) -> Figure:
-    """Returns of training episodes, the mean over seeds with a band from the lowest to the highest, and evaluations."""
+    """Returns of training episodes, the mean over seeds with a band from the lowest to the highest, evaluations, and the teacher."""
     figure, ((panel,),) = new_figure(theme, 2.9)
-    label = "training episodes" if len(logs) == 1 else f"training episodes, mean of {len(logs)} seeds"
-    plot_band(panel, [log.returns for log in logs if log.returns is not None], {"color": COLORS[0], "label": label})
+    plot_band(panel, [log.returns for log in logs if log.returns is not None], {"color": COLORS[0], "label": _episodes_label(logs)})
     plot_evaluations(panel, logs, COLORS[1], "evaluations during the training")
     for log in logs:
         plot_evaluation(panel, None, log, COLORS[1])
+    plot_teacher(panel, logs, "mean_return", THEMES[theme][1], f"teacher {logs[0].teacher}")
     return _with_legend(figure, style_panel(panel, "return", theme, stages=[logs]))
 
 
 def successes(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
-    """The success rate of training episodes."""
+    """Success rates as the returns."""
     curves = [log.successes for log in logs if log.successes is not None]
     if not curves:
         return None
     figure, ((panel,),) = new_figure(theme, 2.9)
-    plot_band(panel, curves, {"color": COLORS[2], "label": "success rate"})
+    plot_band(panel, curves, {"color": COLORS[2], "label": _episodes_label(logs)})
+    plot_evaluations(panel, logs, COLORS[1], "evaluations during the training", successes=True)
     for log in logs:
         plot_evaluation(None, panel, log, COLORS[1])
+    plot_teacher(panel, logs, "success_rate", THEMES[theme][1], f"teacher {logs[0].teacher}")
     panel.set_ylim(-0.03, 1.03)
-    style_panel(panel, "success rate of training episodes", theme, legend=False, stages=[logs])
-    return figure
+    return _with_legend(figure, style_panel(panel, "success rate", theme, stages=[logs]))
+
+
+def _episodes_label(logs: Sequence[TrainingLog]) -> str:
+    return "training episodes" if len(logs) == 1 else f"training episodes, mean of {len(logs)} seeds"
+
+
+def lessons(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
+    """What a teacher does."""
+    if not any(log.lessons for log in logs):
+        return None
+    figure, ((panel,),) = new_figure(theme, 2.9)
+    plot_lessons(panel, logs)
+    return _with_legend(figure, style_panel(panel, f"teacher {logs[0].teacher}", theme, stages=[logs]))
 
 
 def shares(logs: Sequence[TrainingLog], theme: str) -> Figure | None:

@@ -33,7 +33,7 @@ from deepbots_cli.insight.card import render_template
 from deepbots_cli.insight.training import lint_findings
 from deepbots_cli.learning.episodes import UNBOUNDED
 from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.run import EvaluationWithEpisodes, Run, RunRecord, in_parentheses, is_training
+from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, EvaluationWithEpisodes, Run, RunRecord, in_parentheses, is_training
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.rollout import Episode
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 
 EPISODE_LABELS = ("best", "median", "worst")
-FIGURE_NAMES = ("returns", "successes", "shares", "endings", "starts", "trajectories")
+FIGURE_NAMES = ("returns", "successes", "teacher", "shares", "endings", "starts", "trajectories")
 _MAX_TRACED_EPISODES = 12
 _MAX_CLIP_S, _CLIP_FRAME_RATE = 10.0, 10.0
 _VIEWPOINT = pictures.Viewpoint(420, 300, samples=1)  # 60 instead of 200 ms a picture
@@ -186,6 +186,26 @@ class Report:
         seeds = f"{len(found)} seed{'s' * (len(found) > 1)}"
         return f"{text}, over {seeds} with {counts} held-out episodes each{remarks}{solved}"
 
+    @property
+    def teacher(self) -> str:
+        """The script or recording that teaches the policy, and its score, in sentences; empty without one."""
+        logs = [member.log for member in self.runs if member.log.teacher]
+        if not logs:
+            return ""
+        is_recording = logs[0].teacher == DEMONSTRATIONS_NAME
+        text = f"The {'recording' if is_recording else 'script'} {logs[0].teacher} taught the policy."
+        scores = {
+            name: fmean(float(log.lessons[name][1][-1]) for log in logs)
+            for name in ("success_rate", "mean_return")
+            if all(name in log.lessons for log in logs)
+        }
+        if "mean_return" not in scores:  # of a training before deepbots logged it
+            return text
+        rate = f"success rate {scores['success_rate']:.1%}, " if "success_rate" in scores else ""
+        stage = ", in the last stage that began" if any(log.stages for log in logs) else ""
+        starts = "" if is_recording else f" from the starts of the evaluations during the training{stage}"
+        return f"{text} Its own score{starts}: {rate}mean return {scores['mean_return']:.4g}."
+
     def choose_episodes(self, count: int = _MAX_TRACED_EPISODES) -> list[ReportEpisode]:
         """Episodes at equal distances in the order of their returns, of which the first, the middle and the last have a label."""
         every = [ReportEpisode(member, number) for member in self.runs for number in range(len(member.evaluation.outcomes))]
@@ -248,10 +268,17 @@ class Report:
         defined = self.runs[0].evaluation.success_defined
         seeds = "" if len(logs) == 1 else f" The line is the mean of {len(logs)} seeds, the band reaches from the lowest to the highest."
         mean = "Moving means over 100 episodes of the training, in which the policy explores."
+        mean += " The script that teaches the policy drives at first." if any("driven_worlds" in log.lessons for log in logs) else ""
         mean += " Each stage of the curriculum is averaged by itself." if any(log.stages for log in logs) else ""
         diamond = " The diamond is the evaluation after the training." if any(log.evaluation for log in logs) else ""
         yield "returns", f"{mean}{seeds}{diamond}", figures.returns(logs, theme)
         yield "successes", f"{mean}{seeds}{diamond if defined else ''}", figures.successes(logs, theme)
+        lessons = "While the policy only imitates, the imitation loss has the weight 1; then the weight falls to 0."
+        if any("agreement" in log.lessons for log in logs):
+            lessons += " Agreement is the share of the states in which the policy does what the script would do."
+        if any("driven_worlds" in log.lessons for log in logs):
+            lessons += " Driven worlds are the share that the script drives."
+        yield "teacher", lessons + seeds, figures.lessons(logs, theme)
         shares = "Share of each reward term: absolute value of its sum over an episode, relative to all terms."
         yield "shares", shares, figures.shares(logs, theme)
         yield "endings", f"How episodes of the training end. {mean}", figures.endings(logs, theme)

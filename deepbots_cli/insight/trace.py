@@ -25,11 +25,12 @@ from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Start, play, steps
 from deepbots_cli.rollout.drivers import sequence_driver
+from deepbots_cli.rollout.recordings import RecordedEpisode, Recording, actions
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.view.episodes import ShowingState
 from deepbots_cli.view.frames import value_of_row
-from deepbots_cli.view.recordings import RecordedEpisode, Recording, observation_hash
-from deepbots_cli.view.replay import actions, observation_hash_at, version_changes
+from deepbots_cli.view.recordings import observation_hash
+from deepbots_cli.view.replay import observation_hash_at, version_changes
 
 Array = NDArray[np.float64]
 

@@ -267,6 +267,7 @@ def training_command(run: Run, assignments: Sequence[str]) -> list[str]:
         words += ["--timesteps", str(record.total_timesteps)]
     given = training.teacher if training is not None and any(word.partition("=")[0] == "--teacher" for word in record.command) else None
     words += [] if given is None or "train.teacher" in settings else ["--teacher", given.script]
+    words += ["--teacher", str(run.demonstrations)] if run.demonstrations.exists() else []
     words += [word for path, value in settings.items() for word in ("--set", f"{path}={value}")]
     is_given = any(word.partition("=")[0] == "--engine" for word in record.command)
     words += ["--engine", record.engine] if is_given or record.engine != engine_kinds.chosen(run.program.engine) else []

@@ -11,7 +11,8 @@ checkpoint_files.py  the files of a checkpoint, and what they may hold
 callbacks.py     what happens during training: evaluations, the best model, scalars, when to stop
 environments.py  how worlds are made: one by one, or as a batch
 shards.py        the worlds of a training, and shards of them with a copy of the policy
-teacher.py       a script as teacher: when the policy imitates it, and how much
+teacher.py       a script or a recording as teacher: when the policy imitates it, and how much
+demonstrations.py  the episodes of a recording, run again to teach
 scaling.py       the speed of a training with several numbers of shards
 curriculum.py    the stages of a training
 scenario_tests.py  the tests of a scenario

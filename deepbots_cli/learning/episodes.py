@@ -212,7 +212,11 @@ class Statistics:
             return
         mean, rate = self.mean_return, self.success_rate
         if mean is not None and rate is not None and meets_solved(self.solved, mean, rate):
-            self.solved_at = SolvedAt(self.episodes, self.steps, self.simulated_hours, self.cpu_seconds, mean, rate)
+            self.note_solved(mean, rate)
+
+    def note_solved(self, mean_return: float, success_rate: float) -> None:
+        """The task is solved, with this mean return and success rate, from now on."""
+        self.solved_at = SolvedAt(self.episodes, self.steps, self.simulated_hours, self.cpu_seconds, mean_return, success_rate)
 
     def state(self) -> StatisticsState:
         return StatisticsState(

@@ -101,6 +101,7 @@ class GroupRecord(BaseModel):
     stage: str | None = None
     keep_checkpoints: NonNegativeInt = 0
     initialize_from: str | None = None
+    demonstrations: str | None = None
     callbacks: tuple[str, ...] = ()
     loggers: tuple[str, ...] = ()
     command: tuple[str, ...]
@@ -277,8 +278,9 @@ def new_record(compiled: Compiled, seeds: Sequence[int], options: TrainingOption
     kept: dict[str, Any] = {**options}
     kept |= {name: tuple(kept.get(name, ())) for name in ("callbacks", "loggers", "command")}
     kept["engine"] = engine_kinds.chosen(kept.get("engine") or compiled.program.engine)
-    if kept.get("initialize_from") is not None:
-        kept["initialize_from"] = str(Path(kept["initialize_from"]).absolute())
+    for name in ("initialize_from", "demonstrations"):
+        if kept.get(name) is not None:
+            kept[name] = str(Path(kept[name]).absolute())
     return GroupRecord(
         format=FORMAT,
         deepbots=deepbots_cli.__version__,

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     import gymnasium as gym
 
     from deepbots_cli.learning.callbacks import TrainingCallback
+    from deepbots_cli.learning.demonstrations import Demonstrations
     from deepbots_cli.learning.sb3.logs import TrainingLog
     from deepbots_cli.learning.teacher import Plan
 
@@ -40,7 +41,11 @@ _MAX_DATA_BYTES = 8_000_000
 
 @dataclass(frozen=True)
 class Setup:
-    """Arguments of a learner; `longest_episode` is in steps, `collector` is None for a policy that does not learn but acts in `rows`."""
+    """Arguments of a learner.
+
+    `longest_episode` is in steps, `collector` is None for a policy that does not learn but acts in `rows`, and `demonstrations` are those
+    of a recording that teaches.
+    """
 
     training: Training
     observation_space: gym.Space[Any]
@@ -50,6 +55,7 @@ class Setup:
     longest_episode: int = 1
     collector: Collector | None = None
     rows: int = 1
+    demonstrations: Demonstrations | None = None
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,14 @@ from pathlib import Path
 from statistics import fmean
 from typing import Literal
 
-from deepbots_cli.document import MappingNode
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
+from deepbots_cli.document import MappingNode, ScalarNode
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.episodes import WINDOW_EPISODES, read_log
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.run import (
+    DEMONSTRATIONS_NAME,
     EvaluationRecord,
     RunRecord,
     changed_settings,
@@ -32,6 +34,7 @@ State = Literal["training", "finished", "interrupted", "failed", "unreadable"]
 _TAIL_BYTES = 64_000
 """Bytes of a log that hold its last 100 episodes."""
 _MAX_STATE_BYTES = 100_000_000
+_MAX_SCENARIO_BYTES = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -43,9 +46,9 @@ class ListedRun:
     its members. `score` says what the return and the success rate are of. `evaluation`: the quoted evaluation (`quoted_evaluation`) of
     `evaluated_episodes` episodes; `remarks` say how it differs from a usual one. `training`: the recent episodes of the training, in
     which the policy explores.
-    `settings` are the assignments of `--set`. `success_rate` is None where the scenario defines no success. `solved` is that of
-    `run_verdict`. Of a run that trains, `cpu_seconds` is as old as its last checkpoint. `updated` is a time in UTC,
-    `problem` why the files cannot be read.
+    `settings` are the assignments of `--set`, `teacher` is that of `teacher_of`. `success_rate` is None where the scenario
+    defines no success. `solved` is that of `run_verdict`. Of a run that trains, `cpu_seconds` is as old as its last checkpoint. `updated`
+    is a time in UTC, `problem` why the files cannot be read.
     """
 
     path: Path
@@ -54,6 +57,7 @@ class ListedRun:
     source: str = ""
     digest: str = ""
     settings: tuple[str, ...] = ()
+    teacher: str | None = None
     engine: str = ""
     seeds: tuple[int, ...] = ()
     steps: int | None = None
@@ -122,6 +126,7 @@ def _listed_run(path: Path) -> ListedRun:
         source=record.source,
         digest=record.digest,
         settings=changed_settings(record.command),
+        teacher=teacher_of(path),
         engine=record.engine,
         seeds=(record.seed,),
         steps=steps,
@@ -162,6 +167,7 @@ def _listed_group(path: Path) -> ListedRun:
         source=group.record.source,
         digest=readable[0].digest if readable else "",
         settings=changed_settings(group.record.command),
+        teacher=readable[0].teacher if readable else None,
         engine=group.record.engine,
         seeds=group.record.seeds,
         steps=sum(run.steps or 0 for run in readable),
@@ -231,12 +237,34 @@ def _cpu_of_checkpoint(run: Path) -> float | None:
 
 def _defines_success(run: Path) -> bool:
     """Whether the scenario of a run has a goal or an ending that is a success."""
-    try:
-        root = Source.kept(run).document().root
-    except DeepbotsError:
-        return False
+    root = _scenario(run)
     endings = root.get("termination") if root is not None else None
     return root is not None and (root.get("goal") is not None or (isinstance(endings, MappingNode) and endings.get("success") is not None))
+
+
+def teacher_of(run: Path) -> str | None:
+    """The script that teaches the policy of a run, or the file of a recording that does."""
+    if (run / DEMONSTRATIONS_NAME).is_file():
+        return DEMONSTRATIONS_NAME
+    kept = run / RESOLVED_NAME
+    try:
+        if not kept.is_file() or b"teacher" not in read_at_most(kept, _MAX_SCENARIO_BYTES):  # reading all of it takes 5 ms
+            return None
+    except OSError:
+        return None
+    root = _scenario(run)
+    training = root.get("train") if root is not None else None
+    teacher = training.get("teacher") if isinstance(training, MappingNode) else None
+    script = teacher.get("script") if isinstance(teacher, MappingNode) else teacher
+    return script.text if isinstance(script, ScalarNode) and script.value is not None else None
+
+
+def _scenario(run: Path) -> MappingNode | None:
+    """The text of the scenario of a run; None where it cannot be read."""
+    try:
+        return Source.kept(run).document().root
+    except DeepbotsError:
+        return None
 
 
 def sort_runs(runs: Sequence[ListedRun], key: Literal["date", "name", "steps", "cpu", "return", "success"]) -> list[ListedRun]:

@@ -54,7 +54,7 @@ class TrainingProgress:
     The means are over the recent episodes, None before the first has ended; the success rate is None too where the scenario defines no
     success. `solved` is the criterion of the scenario, `best_return` the mean return of the best model in its evaluation, `stage` the
     stage of the curriculum with its criterion, for people to read. `period` is the time of a step in s, `evaluations` their number in
-    this process.
+    this process, and `evaluated_success` the success rate of the last one.
     """
 
     steps: int
@@ -67,6 +67,7 @@ class TrainingProgress:
     best_return: float | None = None
     period: float = 0.0
     evaluations: int = 0
+    evaluated_success: float | None = None
 
 
 class Reporter:
@@ -289,6 +290,8 @@ def progress_values(progress: TrainingProgress, speed: float) -> dict[str, str]:
     if progress.mean_return is not None:
         goal = f" of {solved.mean_return:g}" if solved and solved.mean_return is not None else ""
         rows["return"] = f"{progress.mean_return:.1f}{goal}"
+    if progress.evaluated_success is not None:
+        rows["evaluation"] = f"{progress.evaluated_success:.0%}"
     if progress.best_return is not None:
         rows["best"] = f"{progress.best_return:.1f}"
     if progress.stage:
@@ -315,7 +318,14 @@ def duration(seconds: float) -> str:
     return f"{whole // 60}:{whole % 60:02} min" if whole < 3600 else f"{whole // 3600}:{whole % 3600 // 60:02} h"
 
 
-_LABELS = {"success": "success", "return": "mean return", "best": "best evaluation", "stage": "stage", "episodes": "episodes"}
+_LABELS = {
+    "success": "success",
+    "return": "mean return",
+    "evaluation": "success in the last evaluation",
+    "best": "best evaluation",
+    "stage": "stage",
+    "episodes": "episodes",
+}
 
 
 def _table(progress: TrainingProgress, speed: float, elapsed: float) -> Group:

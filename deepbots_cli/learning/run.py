@@ -5,6 +5,7 @@
     ├── inputs/              a copy of every file that the scenario was read from, meshes too
     ├── resolved.yaml        the scenario after includes and overrides, with paths to the copies; the run is loaded from it
     ├── environment.py       the generated code, to read; it is never run from here
+    ├── demonstrations.mcap  a copy of the recording that teaches the policy
     ├── monitor.csv          a line per episode
     ├── tensorboard/
     ├── models/agent/        best.zip, last.zip: models of the learner; step-000020000.zip with --keep-checkpoints
@@ -49,6 +50,7 @@ from deepbots_cli.program.task import ONLY_AGENT
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import RECORD_NAME, Source, SourceKind, folder_kind
 
+DEMONSTRATIONS_NAME = "demonstrations.mcap"
 FORMAT = 5
 """Of the run directory as a whole; raised when an older deepbots could no longer read it."""
 
@@ -125,6 +127,7 @@ class TrainingOptions(TypedDict, total=False):
     stage: str | None
     keep_checkpoints: int
     initialize_from: str | Path | None
+    demonstrations: str | Path | None
     callbacks: Sequence[str]
     loggers: Sequence[str]
     command: Sequence[str]
@@ -232,6 +235,7 @@ class Run:
     def __post_init__(self) -> None:
         self.program = self.compiled.program
         self.monitor, self.tensorboard = self.path / "monitor.csv", self.path / "tensorboard"
+        self.demonstrations = self.path / DEMONSTRATIONS_NAME
         self.evaluations, self.checkpoints = self.path / "evaluations", self.path / "checkpoints"
 
     @cached_property

@@ -1,9 +1,9 @@
-"""A script as teacher: when the policy imitates it, and how much.
+"""A teacher, which is a script or a recording: when the policy imitates it, and how much.
 
 At first the policy only imitates: the script drives some of the worlds, fewer and fewer with time and agreement, and says in every state
 what it would do (DAgger; S. Ross, G. Gordon, D. Bagnell, AISTATS 2011). The critic learns meanwhile. This ends when an evaluation shows
 that the policy is about as good as the script, or after a share of all timesteps. Then the algorithm learns as usual, with an imitation
-loss whose weight fades.
+loss whose weight fades. A recording does not drive; the policy imitates its actions in its states.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, Field
 
+from deepbots_cli.learning.demonstrations import Demonstrations
 from deepbots_cli.learning.episodes import Summary
 from deepbots_cli.program.task import Teacher
 from deepbots_cli.rollout import Episode
@@ -24,7 +25,7 @@ ENOUGH = 0.95
 _FADE_SHARE = 0.3
 """Share of all timesteps in which the weight of the imitation loss falls to 0."""
 _DEMONSTRATES_SHARE = 1 / 3
-"""Share of the time of imitation in which the script drives all worlds of an off-policy algorithm. A critic that sees only the script
+"""Share of the time of imitation in which the script drives all worlds of an algorithm without an actor. A critic that sees only the script
 overrates other actions: on PandaPush with SAC, the policy succeeds in 5 % after 12,200 such steps, and in 95 % after 20,000 with 4,800."""
 _DRIVES_SHARE = 0.5
 """Share of the time of imitation in which the script drives some of the worlds."""
@@ -35,7 +36,7 @@ class Plan:
     """What a teacher does in the next fragment.
 
     Attributes:
-        lesson: For the collector; None when the teacher is done.
+        lesson: For the collector; None when the teacher is done, or is a recording.
         weight: Of the imitation loss.
         only: Whether the policy only imitates.
     """
@@ -61,11 +62,13 @@ class Teaching:
         teacher: The teacher of the scenario.
         total: Timesteps of the training.
         worlds: Number of its worlds.
-        on_policy: Whether the algorithm learns from its own actions only.
+        imitates: Whether the policy can imitate; otherwise the script only drives, and its steps stay in the replay buffer.
+        demonstrations: Those of a recording, which is the teacher then.
     """
 
-    def __init__(self, teacher: Teacher, total: int, worlds: int, *, on_policy: bool) -> None:
-        self.teacher, self._total, self._worlds, self._on_policy = teacher, total, worlds, on_policy
+    def __init__(self, teacher: Teacher, total: int, worlds: int, *, imitates: bool, demonstrations: Demonstrations | None = None) -> None:
+        self.teacher, self._total, self._worlds, self._has_loss = teacher, total, worlds, imitates
+        self.demonstrations, self._is_script = demonstrations, demonstrations is None
         self.score: Summary | None = None
         """The score of the script from the starts of the evaluations."""
         self.drives = False
@@ -81,7 +84,7 @@ class Teaching:
 
     def knows(self, stage: int) -> bool:
         """Whether the score of the script in a stage of the curriculum is known."""
-        return self.score is not None and self._stage == stage
+        return self.score is not None and (self._stage == stage or not self._is_script)
 
     def begin(self, stage: int, episodes: Sequence[Episode], defines_success: bool) -> str:
         """Take over the episodes of the script in a stage of the curriculum; its score in a sentence. A new stage begins with lessons.
@@ -89,12 +92,12 @@ class Teaching:
         If none of them succeeds, the script does not teach in this stage.
         """
         self.score = found = Summary.of_episodes(episodes)
-        name, mean = self.teacher.script, f"mean return {found.mean_return:.3g}"
-        if stage != self._stage:
+        name, mean = f"the teacher {self.teacher.script}", f"mean return {found.mean_return:.3g}"
+        if stage != self._stage and (self._is_script or self._stage < 0):
             self._stage, self._imitated_until, self.agreement = stage, -1, 0.0
         self._is_able = bool(found.success_rate) or not defines_success
         success = f"success {found.success_rate:.0%}, " if defines_success else ""
-        return f"the teacher {name}: {success}{mean} in {len(episodes)} episodes"
+        return f"{name if self._is_script else 'the teacher, a recording'}: {success}{mean} in {len(episodes)} episodes"
 
     def plan(self, steps: int) -> Plan:
         """What to do in a fragment after `steps` timesteps."""
@@ -106,17 +109,20 @@ class Teaching:
         if not self._is_able:
             return Plan()
         limit = self.teacher.share * self._total
-        if not self._on_policy:  # its steps stay in the replay buffer
+        if not self._has_loss:
             limit *= _DEMONSTRATES_SHARE
         if self._imitated_until < 0 and steps >= limit:
             self._imitated_until = steps
-        if not self._on_policy:
-            return Plan(Lesson(self.teacher.script, self._worlds)) if self.imitates else Plan()
+        if not self._has_loss:
+            return Plan(self._lesson(self._worlds)) if self.imitates else Plan()
         if self.imitates:
             driven = min(max(0.0, 1.0 - steps / max(1.0, _DRIVES_SHARE * limit)), 1.0 - self.agreement)
-            return Plan(Lesson(self.teacher.script, round(driven * self._worlds)), 1.0, True)
+            return Plan(self._lesson(round(driven * self._worlds)), 1.0, True)
         weight = 1.0 - (steps - self._imitated_until) / (_FADE_SHARE * self._total)
-        return Plan(Lesson(self.teacher.script, 0), weight) if weight > 0.0 else Plan()
+        return Plan(self._lesson(0), weight) if weight > 0.0 else Plan()
+
+    def _lesson(self, worlds: int) -> Lesson | None:
+        return Lesson(self.teacher.script, worlds) if self._is_script else None
 
     def on_evaluation(self, found: Summary, steps: int, *, defines_success: bool, is_solved: bool) -> None:
         """Called with the summary of each evaluation, and whether it meets what `solved` requires."""

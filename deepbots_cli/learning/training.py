@@ -36,6 +36,7 @@ from deepbots_cli.learning.callbacks import (
 from deepbots_cli.learning.checkpoint_files import damage_explained, latest_checkpoint
 from deepbots_cli.learning.checkpoints import Checkpoints
 from deepbots_cli.learning.curriculum import Curriculum
+from deepbots_cli.learning.demonstrations import Demonstrations, demonstrate, read_recording
 from deepbots_cli.learning.environments import WorldFactory, stepping_text, supervisor_factory
 from deepbots_cli.learning.episodes import MAX_STEPS, EpisodeLog, Statistics, Summary
 from deepbots_cli.learning.learner import Learner, Setup
@@ -104,6 +105,7 @@ def train(
     stage: str | None = None,
     keep_checkpoints: int = 0,
     initialize_from: str | Path | None = None,
+    demonstrations: str | Path | None = None,
     callbacks: Sequence[str] = (),
     loggers: Sequence[str] = (),
     progress: bool | Reporter = False,
@@ -131,6 +133,7 @@ def train(
         stage: Name of the stage of the curriculum in which to begin; by default the first.
         keep_checkpoints: Number of models to keep at equal distances of steps, in addition to the best and the last one.
         initialize_from: A run whose best policy initializes this one, tensor by tensor if names and shapes are the same.
+        demonstrations: A recording (.mcap) whose episodes teach the policy, in the place of the teacher of the scenario.
         callbacks: Names of callbacks that installed packages register.
         loggers: Names of loggers in addition to TensorBoard: `csv`, and loggers that installed packages register.
         progress: Whether to report progress on standard error, or your own `Reporter`.
@@ -150,12 +153,14 @@ def train(
     """
     compiled = api.with_learner(api.compile(scenario))
     options: TrainingOptions = {"total_timesteps": total_timesteps, "stage": stage, "keep_checkpoints": keep_checkpoints}
-    options |= {"initialize_from": initialize_from, "callbacks": callbacks, "loggers": loggers}
+    options |= {"initialize_from": initialize_from, "demonstrations": demonstrations, "callbacks": callbacks, "loggers": loggers}
     training, source = checked_settings(compiled.program, [seed], **options)
     engine = engine_kinds.chosen(engine or compiled.program.engine)
     build = build or supervisor_factory(engine, permissions=compiled.permissions)
     taken_over = _validate_setup(compiled.program, training, build, source)
-    if training.teacher is not None:
+    if demonstrations is not None:
+        demonstrate(demonstrations, compiled.program, build)
+    elif training.teacher is not None:
         _check_teacher(training.teacher, compiled.program, stage, build, seed)
     path = new_directory(run, runs, compiled.program.name, seed)
     seeds = {f"environment/{i}": derive_seed(seed, "environment", i) for i in range(training.environments)}
@@ -191,6 +196,8 @@ def train(
         new = Run.create(path, record, compiled)
         if source is not None:
             shutil.copyfile(source.model("best"), new.model("initial"))
+        if demonstrations is not None:
+            shutil.copyfile(demonstrations, new.demonstrations)
         on_start(path)
         checkpoints = Checkpoints(new, learners.class_of(training).State)
         return run_training(
@@ -214,6 +221,9 @@ def checked_settings(program: Program, seeds: Sequence[int], **options: Unpack[T
         raise UsageError(f"keep_checkpoints must be from 0 to 10000, not {keep_checkpoints}")
     Curriculum(program, options.get("stage"))
     plugins.check(callbacks, loggers)
+    if (recording := options.get("demonstrations")) is not None:
+        algorithms.check_teachable(training)
+        read_recording(recording, program)
     source = options.get("initialize_from")
     return training, None if source is None else Run.open(source)
 
@@ -332,9 +342,9 @@ def _validate_setup(program: Program, training: Training, build: WorldFactory, s
         )
 
 
-def _create(training: Training, program: Program, collector: Collector, seed: int) -> Learner:
-    spaces = collector.observation_space, collector.action_space
-    return learners.create(Setup(training, *spaces, seed, training.total_timesteps, longest_episode(program), collector))
+def _create(training: Training, program: Program, collector: Collector, seed: int, shown: Demonstrations | None = None) -> Learner:
+    spaces, longest = (collector.observation_space, collector.action_space), longest_episode(program)
+    return learners.create(Setup(training, *spaces, seed, training.total_timesteps, longest, collector, demonstrations=shown))
 
 
 def run_training(
@@ -366,13 +376,8 @@ def run_training(
     statistics.final = curriculum.is_last
     evaluator = Evaluator(build, run.record.seed, run)
     callback = TrainingCallback(run, statistics, curriculum, evaluator, reporter, training.total_timesteps, on_evaluation)
-    if training.teacher is not None:
-        callback.teaching = Teaching(
-            training.teacher,
-            training.total_timesteps,
-            training.environments,
-            on_policy=ALGORITHMS[training.algorithm].on_policy,
-        )
+    shown = demonstrate(run.demonstrations, run.program, build) if run.demonstrations.exists() else None
+    callback.teaching = _teaching(training, shown)
     if checkpoints.state is not None:
         callback.restore(checkpoints.state.callback)
     status: Status = "failed"
@@ -388,7 +393,7 @@ def run_training(
             counter = TrainingCounter(callback, episode_log, reporter)
             collector = make_collector(stack, run, training, build, counter, checkpoints, reporter, placement)
             evaluator.shards = collector if isinstance(collector, ShardedCollector) else None
-            learner = _create(training, run.program, collector, derive_seed(run.record.seed, "policy"))
+            learner = _create(training, run.program, collector, derive_seed(run.record.seed, "policy"), shown)
             learner.log = log = TrainingLog(run)
             callback.attach(learner, log)
             checkpoints.attach(callback, learner, log)
@@ -501,6 +506,15 @@ class TrainingCounter:
         self._statistics.cpu_seconds_before += answer.cpu_seconds
         for note in answer.notes:
             self._reporter.note(note)
+
+
+def _teaching(training: Training, shown: Demonstrations | None) -> Teaching | None:
+    """By demonstrations if there are any, otherwise by the script of the scenario."""
+    teacher = training.teacher or (None if shown is None else Teacher(""))
+    if teacher is None:
+        return None
+    imitates = ALGORITHMS[training.algorithm].imitates
+    return Teaching(teacher, training.total_timesteps, training.environments, imitates=imitates, demonstrations=shown)
 
 
 def make_collector(

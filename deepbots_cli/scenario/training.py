@@ -54,8 +54,7 @@ class Teacher(Section):
     script: PlainText
     """Name of a script of the scenario. It may use values that the policy does not observe."""
     share: Fraction = 0.3
-    """Largest share of the timesteps in which the policy only imitates the script. With an off-policy algorithm, the script drives for
-    a third of it."""
+    """Largest share of the timesteps in which the policy only imitates the script. With DQN, the script drives for a third of it."""
 
 
 class PolicyNetwork(Section):
@@ -74,6 +73,8 @@ class Training(Section):
     """`module:attribute` of its class, imported when it is used: an algorithm of the library where the model is a built-in one or derived
     from one, else a `deepbots_cli.learning.learner.Learner`."""
     on_policy: ClassVar[bool] = False
+    imitates: ClassVar[bool] = False
+    """Whether its policy can be fitted to the actions of a script."""
     acts_by: ClassVar[frozenset[Literal["choice", "choices", "ranges"]]] = frozenset({"choice", "choices", "ranges"})
     """The actions that it can take: one choice, several choices, ranges."""
     uses_masks: ClassVar[bool] = False
@@ -120,6 +121,7 @@ class Training(Section):
 
 class _OnPolicy(Training):
     on_policy = True
+    imitates = True
 
     learning_rate: Schedule | None = None
     """Learning rate: a number, or a schedule such as `3e-4 -> 0`."""
@@ -187,6 +189,7 @@ class _OffPolicy(Training):
 
 
 class _Deterministic(_OffPolicy):
+    imitates = True
     acts_by = frozenset({"ranges"})
 
     action_noise: ActionNoise | None = None

@@ -76,7 +76,7 @@ class Showing:
         return ShowingState(chosen, compiled.findings, files, self, run, compiled=compiled, parameters=parameters)
 
     def _open_recording(self, path: Path) -> ShowingState:
-        from deepbots_cli.view.recordings import Recording
+        from deepbots_cli.rollout.recordings import Recording
 
         if self.overrides or self.case or self.stage or self.engine or self.worlds or self.start:
             raise UsageError(

@@ -202,8 +202,10 @@ class MessageRecorder:
         self._received += 1
         return self._values
 
-    def message(self, channel: Channel | LossyChannel) -> ReceivedMessage:
+    def message(self, channel: Channel | LossyChannel, *, after_reset: bool) -> ReceivedMessage:
         """The newest message; those that come from now on count for the next frame."""
+        if after_reset and not self._received:
+            self._values = (None,) * len(self.fields)  # and not those of the episode before
         flat = [part for value in self._values for part in (value if isinstance(value, list | tuple) else [value])]
         values = tuple(None if value is None or isinstance(value, np.ndarray) else float(value) for value in flat)
         received = self._received > 0 and (isinstance(channel, Channel) or channel.message_received)
@@ -295,7 +297,7 @@ class FrameReader:
             forces={part: force for part, force in forces.items() if force > 0.0},
             pushes=tuple((part, force) for part, push in self._pushes if (force := push.current_force) != ZERO_VECTOR),
             variants=self._variants | {body: variant.name for body, variant in chosen.items() if body in self._variants},
-            messages={key: tap.message(channel) for key, (channel, tap) in self._message_recorders.items()},
+            messages={key: tap.message(channel, after_reset=not env.step_count) for key, (channel, tap) in self._message_recorders.items()},
             cameras={key: np.asarray(seen[0] if isinstance(seen, list | tuple) else seen) for key, seen in images.items()},
             drawn=env.present_values(),
             agents=agents,

@@ -34,7 +34,7 @@ from deepbots_cli.view.batch import BatchPlayer
 from deepbots_cli.view.episodes import Player, Showing, ShowingState
 from deepbots_cli.view.frames import COLORS, AgentFrame, Image, PlottedField, WorldFrame
 from deepbots_cli.view.manual_input import ManualInput
-from deepbots_cli.view.recordings import record
+from deepbots_cli.view.recordings import DrivenEpisodes, record
 from deepbots_cli.view.replay import ReplayPlayer
 from deepbots_cli.view.scene import WorldScene, aim_camera
 
@@ -99,12 +99,13 @@ class Page:
         world: int = 0,
         watch: bool = False,
         playing: bool = False,
+        output: Path | None = None,
         frame_rate: int = FRAME_RATE,
     ) -> None:
         """Compile the source and start the server; `playing` makes a page to drive by hand, with a score.
 
-        With `compare`, both worlds stand side by side, and begin each episode from the same seed. Of a batch, `world` is shown. The page
-        gets `frame_rate` pictures per second.
+        With `compare`, both worlds stand side by side, and begin each episode from the same seed. Of a batch, `world` is shown. With
+        `playing`, the episodes that a person drives are recorded in `output`. The page gets `frame_rate` pictures per second.
 
         Raises:
             UsageError, RunError: There is no such source or driver, or the address cannot be used.
@@ -114,6 +115,8 @@ class Page:
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._compare = compare
         self.panels: list[WorldPanel] = []
+        self._output = output
+        self.driven: DrivenEpisodes | None = None
         self._compared_player: Player | None = None
         self._manual_input = ManualInput(())
         self._changed: dict[str, str] = {}
@@ -187,6 +190,8 @@ class Page:
             for player in made:
                 player.world = self._world_number
                 player.begin(self.seed, self.episode)
+            if self._output is not None:
+                self.driven = DrivenEpisodes(made[0], self._output, self.seed)
         except BaseException:
             for player in made:
                 player.close()
@@ -278,7 +283,7 @@ class Page:
         tabs: dict[str, Callable[[], None]] = {"Values": self._add_values, "Plots": self._add_plots}
         if not isinstance(player, ReplayPlayer):
             tabs = {"Drive": self._add_drive, **tabs} if self._playing else {**tabs, "Drive": self._add_drive}
-        if player.opened.parameters and self._compare is None:
+        if player.opened.parameters and self._compare is None and self.driven is None:  # a recording has one scenario
             tabs["Parameters"] = partial(self._add_parameters, player.opened.parameters)
         group = gui.add_tab_group()
         if self._training_run is not None:
@@ -451,7 +456,7 @@ class Page:
     def _add_drive(self) -> None:
         gui, layout, hand = self.server.gui, self.panels[0].player.reader.layout, self._manual_input
         gui.add_html(f"<div style='padding:0.3em 1em;font-size:0.85em'>Keys: {html.escape(hand.help())}. A gamepad works too.</div>")
-        if self._playing:
+        if self._playing and self.driven is None:
             keep = gui.add_button("record this episode", hint="write the episode so far as a recording (.mcap) into the current folder")
             keep.on_click(lambda event: self._tasks.put(lambda: self._record(event.client)))
         for field in layout.action:
@@ -580,6 +585,8 @@ class Page:
         for shown in self.panels:
             shown.show_newest(after_reset=True)
             shown.scene.draw(1.0)
+        if self.driven is not None:
+            self.driven.begin()
         self._read_training()
         if self._slider is not None and isinstance(self.player, ReplayPlayer):
             self._slider.max = max(1, self.player.length - 1)
@@ -600,6 +607,8 @@ class Page:
             self._played, self._successes = self._played + 1, self._successes + frame.is_success
             self._best = max(self._best, next(iter(frame.agents.values())).episode_return)
             self._update_texts()
+        if self.driven is not None:
+            self.driven.step()
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
         """Serve the page until `until` says so, or Ctrl-C; time goes on while a browser shows the page."""
@@ -694,6 +703,8 @@ class Page:
             rival = self._compared_player.frame
             state = f" ({rival.ending} after {rival.time:.1f} s)" if rival.ended_by else ""
             lines.append(f"{self._compared_player.driver_name}: {rival.agents[self._agent[1]].episode_return:.2f}{state}")
+        if self.driven is not None:
+            lines.append(self.driven.note)
         return "".join(f"<br>{html.escape(line)}" for line in lines)
 
     def _draw_plots(self) -> None:

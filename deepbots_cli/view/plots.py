@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.episodes import read_log
-from deepbots_cli.learning.run import EvaluationRecord, RunRecord, changed_settings, run_folders, short_settings
+from deepbots_cli.learning.listing import teacher_of
+from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, EvaluationRecord, RunRecord, changed_settings, run_folders, short_settings
 from deepbots_cli.learning.verdict import quoted_evaluation
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 from deepbots_cli.view.frames import COLORS
@@ -57,10 +58,12 @@ class StageStart(NamedTuple):
 @dataclass
 class TrainingLog:
     """What is known of one training: curves; reward terms and shares of endings by name. `group` is the scenario with
-    its digest, `settings` are the values that `--set` changed, and `name` is what its line is called.
+    its digest, and whether a recording teaches; `settings` are the values that `--set` changed, and `name` is what its line is called.
 
     `stages` are those of a curriculum that have begun. A curve has a nan where one of them begins: the next stage is another task.
-    `evaluation_stages` are those in which the policy acted in `evaluations`, empty for none.
+    `evaluation_stages` are those in which the policy acted in `evaluations`, empty for none. `teacher` is that of `teacher_of`, and
+    `lessons` are its curves: `agreement`, `weight` of the imitation loss, `driven_worlds` (their share), and its own `mean_return` and
+    `success_rate`, of a script from the starts of the evaluations.
     """
 
     path: Path
@@ -70,11 +73,14 @@ class TrainingLog:
     returns: Curve | None = None
     successes: Curve | None = None
     evaluations: Curve | None = None
+    evaluated_successes: Curve | None = None
     evaluation_stages: Sequence[str] = ()
     stages: Sequence[StageStart] = ()
     terms: dict[str, Curve] = field(default_factory=dict)
     endings: dict[str, Curve] = field(default_factory=dict)
     evaluation: EvaluationRecord | None = None
+    teacher: str | None = None
+    lessons: dict[str, Curve] = field(default_factory=dict)
 
 
 def read_logs(paths: Sequence[str | Path], window: int = 100) -> list[TrainingLog]:
@@ -104,7 +110,10 @@ def read_logs(paths: Sequence[str | Path], window: int = 100) -> list[TrainingLo
 
 def _read_run(path: Path, window: int) -> TrainingLog:
     record = RunRecord.read(path)
-    log = TrainingLog(path, f"{record.scenario} {record.digest}", settings=short_settings(changed_settings(record.command)))
+    teacher = teacher_of(path)
+    recorded = "-recorded" if teacher == DEMONSTRATIONS_NAME else ""  # a recording is no part of the scenario
+    settings = short_settings(changed_settings(record.command))
+    log = TrainingLog(path, f"{record.scenario} {record.digest}{recorded}", settings=settings, teacher=teacher)
     episodes, evaluations = logs_of(path)
     if not len(episodes):
         raise RunError(f"{path} contains no finished episode yet; plot it later")
@@ -114,16 +123,20 @@ def _read_run(path: Path, window: int) -> TrainingLog:
     common = [name for name, _ in Counter(endings.tolist()).most_common(_MAX_COLORED_ENDINGS)]
     shares = {name or "unknown": endings == name for name in common} | {"others": ~np.isin(endings, common)}
     log.endings = {name: _averaged(episodes, share.astype(float), window, log.stages) for name, share in shares.items() if share.any()}
-    if found := quoted_evaluation(path, record):
-        log.evaluation = found[1]
+    if quoted := quoted_evaluation(path, record):
+        log.evaluation = quoted[1]
     log.successes = _averaged(episodes, episodes.successes, window, log.stages) if episodes.successes.any() else None
     if evaluations:
-        log.evaluations = (np.array([line["steps"] for line in evaluations]), np.array([fmean(line["returns"]) for line in evaluations]))
+        at = np.array([line["steps"] for line in evaluations])
+        means, rates = (np.array([fmean(line[name]) for line in evaluations]) for name in ("returns", "successes"))
+        log.evaluations, log.evaluated_successes = (at, means), (at, rates)
         log.evaluation_stages = [line["stage"] for line in evaluations]
     scalars = scalars_of(path / "tensorboard")
     finite = {tag: (at[np.isfinite(values)], values[np.isfinite(values)]) for tag, (at, values) in scalars.items()}
-    terms = {tag.removeprefix("reward/"): curve for tag, curve in finite.items() if tag.startswith("reward/") and len(curve[0])}
-    log.terms = {term: _with_breaks(curve, log.stages) for term, curve in terms.items()}
+    found = {tag: _with_breaks(curve, log.stages) for tag, curve in finite.items() if len(curve[0])}
+    log.terms = {tag.removeprefix("reward/"): curve for tag, curve in found.items() if tag.startswith("reward/")}
+    if teacher is not None:
+        log.lessons = {tag.removeprefix("teacher/"): curve for tag, curve in found.items() if tag.startswith("teacher/")}
     return log
 
 
@@ -254,35 +267,35 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
     if len(groups) > len(COLORS):
         raise UsageError(f"a plot can show at most {len(COLORS)} scenarios, not {len(groups)}")
     detailed = [members for members in groups.values() if any(log.terms or log.endings for log in members)]
-    figure = Figure(figsize=(10.0, 3.4 + 2.7 * len(detailed)), layout="constrained", facecolor=THEMES[theme][0])
-    axes = figure.subplots(1 + len(detailed), 2, squeeze=False)
+    taught = [members for members in groups.values() if any(log.lessons for log in members)]
+    below = 1 + math.ceil(len(taught) / 2)
+    figure = Figure(figsize=(10.0, 0.7 + 2.7 * (below + len(detailed))), layout="constrained", facecolor=THEMES[theme][0])
+    axes = figure.subplots(below + len(detailed), 2, squeeze=False)
     returns, successes = axes[0]
     terms = [{term for log in members for term in log.terms} for members in detailed]
-    for left, own in zip(axes[2:, 0], terms[1:], strict=True):
+    for left, own in zip(axes[below + 1 :, 0], terms[1:], strict=True):
         if own & terms[0]:
-            left.sharey(axes[1, 0])  # the same terms of two scenarios are compared by eye
+            left.sharey(axes[below, 0])  # the same terms of two scenarios are compared by eye
     shown = list(groups.values())
     for number, members in enumerate(shown):
-        name = members[0].name
-        label = name if len(members) == 1 else f"{name} ({len(members)} seeds)"
-        style: dict[str, Any] = {"color": COLORS[number], "linestyle": _LINE_STYLES[number % len(_LINE_STYLES)], "label": label}
-        plot_band(returns, [log.returns for log in members if log.returns is not None], style)
-        plot_band(successes, [log.successes for log in members if log.successes is not None], style)
-        plot_evaluations(returns, members, COLORS[number])
-        for log in members:
-            plot_evaluation(returns, successes, log, COLORS[number])
+        _plot_group(returns, successes, members, number, is_only=len(groups) == 1)
     marks = {"dots": any(log.evaluations for log in logs), "diamond": any(log.evaluation for log in logs)}
     named = ", ".join(mark for mark, is_there in marks.items() if is_there)
-    title = f"return of training episodes{f'; {named}: evaluations' if named else ''}"
-    heights = [style_panel(returns, title, theme, stages=shown)]
+    marked = f"of training episodes{f'; {named}: evaluations' if named else ''}"
+    heights = [style_panel(returns, f"return {marked}", theme, stages=shown)]
     if successes.lines:
-        style_panel(successes, "success rate of training episodes", theme, legend=False, stages=shown)
+        style_panel(successes, f"success rate {marked}", theme, legend=False, stages=shown)
         successes.set_ylim(-0.03, 1.03)
     else:
-        successes.remove()
-        returns.set_subplotspec(returns.get_gridspec()[0, :])
+        _remove_right(axes[0])
+    for panel, members in zip(axes[1:below].flat, taught, strict=False):
+        plot_lessons(panel, members)
+        name = f"{members[0].name}: " if len(groups) > 1 else ""
+        heights.append(style_panel(panel, f"{name}teacher {members[0].teacher}", theme, stages=[members]))
+    if len(taught) % 2:
+        _remove_right(axes[below - 1])
     styles, endings = term_styles(logs), ending_colors(logs)
-    for (left, right), members in zip(axes[1:], detailed, strict=True):
+    for (left, right), members in zip(axes[below:], detailed, strict=True):
         name = f"{members[0].name}: " if len(groups) > 1 else ""
         for term in sorted({term for log in members for term in log.terms}):
             plot_band(left, [log.terms[term] for log in members if term in log.terms], styles[term])
@@ -295,6 +308,29 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
         )
     figure.set_figheight(figure.get_figheight() + sum(heights))
     return figure
+
+
+def _plot_group(returns: Axes, successes: Axes, members: Sequence[TrainingLog], number: int, *, is_only: bool) -> None:
+    """Returns and success rates of the trainings of a scenario, which is the only one or has this number."""
+    name, color = members[0].name, COLORS[number]
+    label = name if len(members) == 1 else f"{name} ({len(members)} seeds)"
+    style: dict[str, Any] = {"color": color, "linestyle": _LINE_STYLES[number % len(_LINE_STYLES)], "label": label}
+    plot_band(returns, [log.returns for log in members if log.returns is not None], style)
+    plot_band(successes, [log.successes for log in members if log.successes is not None], style)
+    plot_evaluations(returns, members, color)
+    plot_evaluations(successes, members, color, successes=True)
+    for log in members:
+        plot_evaluation(returns, successes, log, color)
+    script = f"teacher {members[0].teacher}" if is_only else f"{name}: teacher {members[0].teacher}"
+    plot_teacher(returns, members, "mean_return", color, script)
+    plot_teacher(successes, members, "success_rate", color, script)
+
+
+def _remove_right(row: Any) -> None:
+    """Remove the right panel of a row; the left one takes its place too."""
+    left, right = row
+    right.remove()
+    left.set_subplotspec(left.get_gridspec()[left.get_subplotspec().rowspan.start, :])
 
 
 def term_styles(logs: Sequence[TrainingLog]) -> dict[str, dict[str, Any]]:
@@ -336,14 +372,14 @@ def plot_band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) ->
         panel.fill_between(at, rows.min(axis=0), rows.max(axis=0), color=style["color"], alpha=0.22, linewidth=0)
 
 
-def plot_evaluations(panel: Axes, logs: Sequence[TrainingLog], color: str, label: str = "") -> None:
+def plot_evaluations(panel: Axes, logs: Sequence[TrainingLog], color: str, label: str = "", *, successes: bool = False) -> None:
     """The evaluations during trainings: a dot each, and a mark of its own for each stage of a curriculum, which the legend names."""
     names = list(dict.fromkeys(start.name for log in logs for start in log.stages))
     found = [
         (steps, value, name if name in names else "")
         for log in logs
-        if log.evaluations is not None
-        for steps, value, name in zip(*log.evaluations, log.evaluation_stages or [""] * len(log.evaluations[0]), strict=True)
+        if (curve := log.evaluated_successes if successes else log.evaluations) and not (successes and log.successes is None)
+        for steps, value, name in zip(*curve, log.evaluation_stages or [""] * len(curve[0]), strict=True)
     ]
     for name in dict.fromkeys(name for _, _, name in found):
         steps, values = zip(*((at, value) for at, value, own in found if own == name), strict=True)
@@ -360,6 +396,25 @@ def plot_evaluation(returns: Axes | None, successes: Axes | None, log: TrainingL
     for panel, value in ((returns, found.mean_return), (successes, found.success_rate if found.success_defined else None)):
         if panel is not None and value is not None:
             panel.plot(log.returns[0][-1], value, "D", color=color, markersize=6, markeredgecolor="white", clip_on=False, zorder=3)
+
+
+def plot_teacher(panel: Axes, logs: Sequence[TrainingLog], name: str, color: str, label: str) -> None:
+    """The score of the teacher, a dotted line for each training: `name` is `mean_return` or `success_rate`."""
+    for log in logs:
+        if name in log.lessons:
+            at, values = log.lessons[name]
+            at, values = np.insert(at, 0, 0.0), np.insert(values, 0, values[0])
+            panel.plot(at, values, color=color, linestyle=":", linewidth=1.4, label=label)
+            label = ""
+
+
+def plot_lessons(panel: Axes, logs: Sequence[TrainingLog]) -> None:
+    """What a teacher does: agreement, weight and driven worlds, means over seeds."""
+    names = {"agreement": "agreement", "weight": "loss weight", "driven_worlds": "driven worlds"}
+    for number, (name, label) in enumerate(names.items()):
+        style = {"color": COLORS[number], "linestyle": _LINE_STYLES[number], "label": label}
+        plot_band(panel, [log.lessons[name] for log in logs if name in log.lessons], style)
+    panel.set_ylim(-0.03, 1.03)
 
 
 def _common_steps(curves: Sequence[Curve]) -> NDArray[np.float64]:

@@ -22,39 +22,36 @@ import json
 import math
 import platform
 import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from copy import deepcopy
 from importlib.metadata import PackageNotFoundError, version
-from itertools import groupby
-from pathlib import Path, PurePosixPath
-from tempfile import TemporaryDirectory
-from typing import Any, cast
+from pathlib import Path
+from typing import Any, BinaryIO, cast
 
 import msgspec
 import numpy as np
 
 import deepbots_cli
 from deepbots_cli import frames
-from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.files import atomic_write, read_at_most
+from deepbots_cli.errors import MissingExtraError
+from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame, Triple
+from deepbots_cli.rollout.drivers import HAND
+from deepbots_cli.rollout.recordings import FORMAT, Payloads
 from deepbots_cli.view.episodes import Player
 from deepbots_cli.view.frames import AgentFrame, FrameLayout, Image, LinkName, PlottedField, ReceivedMessage, SensorRays, WorldFrame
 
-FORMAT = 1
 NS_PER_S = 1_000_000_000
 """In ns, in which MCAP counts time."""
-_MAX_FILE, _MAX_RECORD, _MAX_CONTENT = 1 << 28, 1 << 26, 1 << 29  # bytes: of a file, of one record, and of all of them unpacked
-_MAX_INPUTS, _MAX_SIDE = 1000, 1024
+MAX_DRIVEN_BYTES = 1 << 28
+"""Of all steps of `DrivenEpisodes` before compression, so that the recording stays below the limits of those that are read. Half an hour of
+CartPole, or two hours of FindBall."""
+_MESSAGE_OVERHEAD_BYTES = 100  # in memory, as for a recording that is read
+_MAX_SIDE = 1024
 _MAX_NUMBER = 1e9  # of a position in m, and of the time in s: one more cannot be drawn
-_RECORD_OVERHEAD_BYTES = 100
-"""Bytes that a record takes in memory besides its content: a chunk of empty ones is a bomb too."""
-Payloads = Mapping[str, bytes]
-
-
-class RecordingError(UsageError):
-    """A recording cannot be read: it is none, cut short, damaged, or of another version."""
+RecordedStep = tuple[int, Payloads]
+"""The time of a step in ns, and its topics."""
 
 
 # What is written
@@ -76,12 +73,6 @@ def _packed(value: Any) -> dict[str, Any]:
     """An action, or a part of one, to the bit."""
     array = np.asarray(value)
     return {"dtype": str(array.dtype), "rows": array.shape[0] if array.ndim == 2 else 0, "data": array.tobytes()}
-
-
-def unpacked(packed: Mapping[str, Any], space: Any) -> Any:
-    dtype = np.dtype({"float32": "f4", "float64": "f8", "int64": "i8", "int32": "i4"}[packed["dtype"]])
-    array = np.frombuffer(msgspec.convert(packed["data"], bytes), dtype)
-    return array.reshape(space.shape).copy() if space.shape else array.item()
 
 
 def _hash(*parts: bytes) -> str:
@@ -238,6 +229,48 @@ def _schema_of(value: Any, key: str = "") -> dict[str, Any]:
     return {"type": {bool: "boolean", str: "string", int: "integer"}.get(type(value), "number")}
 
 
+class RecordingWriter:
+    """Writes episodes of a player to a stream as MCAP, one after the other; `mcap.finish()` completes it."""
+
+    def __init__(self, stream: BinaryIO, player: Player, seed: int) -> None:
+        """Write the scenario.
+
+        Raises:
+            MissingExtraError: mcap is not installed.
+        """
+        try:
+            from mcap.writer import Writer
+        except ModuleNotFoundError as error:
+            raise MissingExtraError("view", "a recording") from error
+        compiled = player.opened.checked()
+        self._player, self._encoder = player, TopicEncoder(player)
+        self._begun, self._channels = 0, dict[str, int]()
+        self.mcap: Any = Writer(stream)
+        self.mcap.start("", f"deepbots {deepbots_cli.__version__}")
+        self.mcap.add_metadata("deepbots", _metadata(player, seed, compiled.digest))
+        inputs = {f"inputs/{name}": data for name, data in compiled.inputs.items()}
+        for name, content in {"resolved.yaml": compiled.resolved.encode(), **inputs}.items():
+            self.mcap.add_attachment(0, 0, name, "application/octet-stream", content)
+
+    def encoded(self, number: int) -> RecordedStep:
+        """The newest frame of the player, as a step of the episode that is written next."""
+        time = self._begun + round(self._player.frame.time * NS_PER_S)
+        return time, self._encoder.encode(time, number, self._player.seed)
+
+    def write(self, steps: Iterable[RecordedStep]) -> None:
+        """Write an episode."""
+        time = self._begun
+        for time, topics in steps:
+            for topic, payload in topics.items():
+                if topic not in self._channels:
+                    content = msgspec.json.decode(payload)
+                    schema = json.dumps(_schema_of(content)).encode()
+                    number = self.mcap.register_schema(_type_of(topic, content), "jsonschema", schema)
+                    self._channels[topic] = self.mcap.register_channel(topic, "json", number)
+                self.mcap.add_message(self._channels[topic], time, payload, time)
+        self._begun = time + NS_PER_S
+
+
 def record(
     player: Player,
     path: Path,
@@ -257,34 +290,90 @@ def record(
     Raises:
         MissingExtraError: mcap is not installed.
     """
-    try:
-        from mcap.writer import Writer
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("view", "a recording") from error
-    compiled = player.opened.checked()
-    describer, time, channels, last = TopicEncoder(player), 0, dict[str, int](), list[WorldFrame]()
+    last = list[WorldFrame]()
     with atomic_write(path) as draft, draft.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start("", f"deepbots {deepbots_cli.__version__}")
-        writer.add_metadata("deepbots", _metadata(player, seed, compiled.digest))
-        inputs = {f"inputs/{name}": data for name, data in compiled.inputs.items()}
-        for name, content in {"resolved.yaml": compiled.resolved.encode(), **inputs}.items():
-            writer.add_attachment(0, 0, name, "application/octet-stream", content)
+        writer = RecordingWriter(stream, player, seed)
         for number in episodes:
-            begun = time
-            for frame in player.episode(seed, number, steps):
-                time = begun + round(frame.time * NS_PER_S)
-                for topic, payload in describer.encode(time, number, player.seed).items():
-                    if topic not in channels:
-                        content = msgspec.json.decode(payload)
-                        schema = writer.register_schema(_type_of(topic, content), "jsonschema", json.dumps(_schema_of(content)).encode())
-                        channels[topic] = writer.register_channel(topic, "json", schema)
-                    writer.add_message(channels[topic], time, payload, time)
+            writer.write(writer.encoded(number) for _ in player.episode(seed, number, steps))
             last.append(player.frame)
             on_episode(number)
-            time += NS_PER_S
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.mcap.finish()
     return last
+
+
+class DrivenEpisodes:
+    """The episodes that a person drives from the reset to the end, in a file that is complete after each of them.
+
+    They are numbered from 0 in the order in which they ended, since a person may drive one start twice. `ends` holds their last frames.
+    The encoded episodes stay in memory, up to `MAX_DRIVEN_BYTES`.
+    """
+
+    def __init__(self, player: Player, path: Path, seed: int) -> None:
+        """Write nothing yet: a recording has at least one episode.
+
+        Raises:
+            MissingExtraError: mcap is not installed.
+        """
+        self.player, self.path = player, path
+        self.ends: list[WorldFrame] = []
+        self.is_full = False
+        self._stream = io.BytesIO()
+        self._writer = RecordingWriter(self._stream, player, seed)
+        self._steps: list[RecordedStep] = []
+        self._bytes, self._kept_bytes, self._has_unsaved = 0, 0, False
+
+    def begin(self) -> None:
+        """Leave out the episode under way, and begin another one with its first frame, if the person drives."""
+        self._steps.clear()
+        self._bytes = self._kept_bytes
+        if self.player.driver_name == HAND and not self.is_full:
+            self._add()
+
+    def step(self) -> None:
+        """Add the newest frame; with the last one of the episode, write the file.
+
+        Raises:
+            UsageError: It cannot be written. The episode is in the file after the next one, or after `save`.
+        """
+        if not self._steps:
+            return
+        self._add()
+        if self.player.frame.ended_by is not None and self._steps:
+            self._writer.write(self._steps)
+            self._steps.clear()
+            self.ends.append(self.player.frame)
+            self._kept_bytes, self._has_unsaved = self._bytes, True
+            self.save()
+
+    def _add(self) -> None:
+        step = self._writer.encoded(len(self.ends))
+        self._steps.append(step)
+        self._bytes += sum(len(payload) + _MESSAGE_OVERHEAD_BYTES for payload in step[1].values())
+        if self._bytes > MAX_DRIVEN_BYTES:
+            self.is_full = True
+            self._steps.clear()
+
+    def save(self) -> None:
+        """Write the episodes that are not in the file yet.
+
+        Raises:
+            UsageError: The file cannot be written.
+        """
+        if not self._has_unsaved:
+            return
+        mcap, stream = deepcopy((self._writer.mcap, self._stream))  # an MCAP file that is finished takes no more episodes
+        mcap.finish()
+        with atomic_write(self.path) as draft:
+            draft.write_bytes(stream.getbuffer())
+        self._has_unsaved = False
+
+    @property
+    def note(self) -> str:
+        """What the person should know, in a line."""
+        kept = f"{len(self.ends)} episode{'s' * (len(self.ends) != 1)} recorded in {self.path.name}"
+        if self.is_full:
+            return f"{kept}; it takes no more, since the next one goes beyond {MAX_DRIVEN_BYTES >> 20} MiB"
+        return kept if self.player.driver_name == HAND else f"{kept}; not this one, which {self.player.driver_name} drives"
 
 
 def _metadata(player: Player, seed: int, digest: str) -> dict[str, str]:
@@ -313,153 +402,6 @@ def versions() -> dict[str, str]:
 
 
 # What is read
-
-
-@dataclass(frozen=True, eq=False)
-class RecordedEpisode:
-    """One episode of a recording: its number, the seed of its reset, and the topics of each step, as bytes."""
-
-    number: int
-    seed: int
-    steps: Sequence[Payloads]
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """A recording as it was read; `folder` holds its scenario while it is open."""
-
-    path: Path
-    metadata: Mapping[str, str]
-    episodes: Sequence[RecordedEpisode]
-    folder: TemporaryDirectory[str]
-
-    @staticmethod
-    def read(path: Path) -> Recording:
-        """Read a file, and unpack its scenario into a folder of its own.
-
-        Raises:
-            RecordingError: It cannot be read; says why in one sentence.
-            MissingExtraError: mcap is not installed.
-        """
-        if path.exists() and not (path.is_file() or path.is_dir()):  # opening a pipe waits for ever
-            raise RecordingError(f"{path} is not a regular file")
-        try:
-            data = read_at_most(path, _MAX_FILE + 1)
-        except OSError as error:
-            raise RecordingError(f"{path} cannot be read: {(error.strerror or 'unknown reason').lower()}") from error
-        if len(data) > _MAX_FILE:
-            raise RecordingError(f"{path} is larger than {_MAX_FILE >> 20} MiB, which is the largest recording that can be shown")
-        if not data.startswith(b"\x89MCAP"):
-            raise RecordingError(f"{path} is not a recording: it is not an MCAP file")
-        metadata, files, steps = _content(path, data)
-        if metadata is None:
-            raise RecordingError(f"{path} is an MCAP file that deepbots did not record; open it in Foxglove")
-        if metadata.get("format") != str(FORMAT):
-            raise RecordingError(
-                f"{path} is a recording of format {metadata.get('format', '?')[:20]}, but this version of deepbots reads {FORMAT}; "
-                "use the version that recorded it"
-            )
-        if "resolved.yaml" not in files or not steps:
-            raise RecordingError(f"{path} is damaged: it contains no {'episode' if files else 'scenario'}")
-        folder = TemporaryDirectory(prefix="deepbots-recording-")
-        for name, content in files.items():
-            target = Path(folder.name, name)
-            try:
-                target.parent.mkdir(parents=True, exist_ok=True)
-                target.write_bytes(content)
-            except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
-                raise RecordingError(f"{path} is damaged: it contains a file and a folder of the same name") from error
-        return Recording(path, metadata, list(_episodes(path, steps)), folder)
-
-    def episode(self, number: int) -> RecordedEpisode:
-        """The episode of this number.
-
-        Raises:
-            UsageError: There is none; says which there are.
-        """
-        found = next((episode for episode in self.episodes if episode.number == number), None)
-        if found is None:
-            numbers = [episode.number for episode in self.episodes]
-            listed = str(numbers[0]) if len(numbers) == 1 else f"{min(numbers)} to {max(numbers)}"
-            raise UsageError(f"{self.path} contains no episode {number}; it contains {listed}")
-        return found
-
-
-def _content(path: Path, data: bytes) -> tuple[Mapping[str, str] | None, dict[str, bytes], list[dict[str, bytes]]]:
-    """Metadata, attached files, and the topics of each step."""
-    try:
-        from mcap import records
-        from mcap.exceptions import McapError
-        from mcap.stream_reader import StreamReader, breakup_chunk
-        from zstandard import ZstdError, get_frame_parameters
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("view", "a recording") from error
-    metadata: Mapping[str, str] | None = None
-    files: dict[str, bytes] = {}
-    topics: dict[int, str] = {}
-    messages: list[records.Message] = []
-    size = 0
-    try:
-        for found in StreamReader(io.BytesIO(data), emit_chunks=True, record_size_limit=_MAX_RECORD).records:
-            if isinstance(found, records.Metadata) and found.name == "deepbots":
-                metadata = found.metadata
-            elif isinstance(found, records.Attachment):
-                size += len(found.data)
-                files[_safe(found.name)] = found.data
-            elif isinstance(found, records.Chunk):
-                # The unpacked size is in the frame too, and decompression goes by that one.
-                unpacked = get_frame_parameters(found.data).content_size if found.compression == "zstd" else len(found.data)
-                size += unpacked
-                if found.compression not in ("zstd", "") or unpacked != found.uncompressed_size or max(size, 8 * unpacked) > _MAX_CONTENT:
-                    raise RecordingError(
-                        f"{path} is damaged, larger than {_MAX_CONTENT >> 20} MiB when decompressed, or uses an unknown compression"
-                    )
-                inner = breakup_chunk(found, validate_crc=True)
-                size += _RECORD_OVERHEAD_BYTES * len(inner)
-                topics |= {each.id: each.topic for each in inner if isinstance(each, records.Channel)}
-                messages += [each for each in inner if isinstance(each, records.Message)]
-            if size > _MAX_CONTENT or len(files) > _MAX_INPUTS:
-                raise RecordingError(f"{path} contains more than {_MAX_CONTENT >> 20} MiB, or more than {_MAX_INPUTS} files")
-        steps = [{topics[each.channel_id]: each.data for each in step} for _, step in groupby(messages, lambda each: each.log_time)]
-    except (McapError, ZstdError, struct.error, ValueError, KeyError, IndexError, MemoryError) as error:
-        raise RecordingError(f"{path} is cut short or damaged; record the episode again") from error
-    return metadata, files, steps
-
-
-def _safe(name: str) -> str:
-    """The name of an attached file.
-
-    Raises:
-        ValueError: It leads elsewhere.
-    """
-    parts = PurePosixPath(name).parts
-    if name != "resolved.yaml" and (parts[:1] != ("inputs",) or ".." in parts or "\\" in name or "\0" in name or len(name) > 500):
-        raise ValueError(name)
-    if any(len(part.encode()) > 255 for part in parts):  # which most file systems refuse
-        raise ValueError(name)
-    return name
-
-
-def _episodes(path: Path, steps: Sequence[Payloads]) -> Iterator[RecordedEpisode]:
-    begun = [place for place, step in enumerate(steps) if "/episode" in step]
-    if begun[:1] != [0]:
-        raise RecordingError(f"{path} is damaged: it does not begin with an episode")
-    for first, end in zip(begun, [*begun[1:], len(steps)], strict=True):
-        with damaged(path):
-            known = msgspec.json.decode(steps[first]["/episode"])
-            seed = msgspec.convert(known["seed"], int)
-            if seed < 0:
-                raise ValueError(seed)
-            yield RecordedEpisode(msgspec.convert(known["episode"], int), seed, steps[first:end])
-
-
-@contextmanager
-def damaged(path: Path) -> Iterator[None]:
-    """Within, content that is not as it should be is told in a sentence."""
-    try:
-        yield
-    except (msgspec.MsgspecError, LookupError, TypeError, ValueError, AttributeError, OSError, OverflowError, RecursionError) as error:
-        raise RecordingError(f"{path} is damaged: a step of it cannot be read") from error
 
 
 def _floats(values: Mapping[str, Any], names: Sequence[str] | None = None) -> tuple[float, ...]:

@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import msgspec
-from gymnasium import spaces
 
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.port import View
 from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import RECORDED, sequence_driver
+from deepbots_cli.rollout.recordings import RecordedEpisode, Recording, RecordingError, actions, damaged
 from deepbots_cli.view.episodes import Player, ShowingState
 from deepbots_cli.view.frames import WorldFrame
-from deepbots_cli.view.recordings import (
-    NS_PER_S,
-    RecordedEpisode,
-    Recording,
-    RecordingError,
-    TopicEncoder,
-    damaged,
-    read_frame,
-    unpacked,
-    versions,
-)
+from deepbots_cli.view.recordings import NS_PER_S, TopicEncoder, read_frame, versions
 
 
 class ReplayPlayer(Player):
@@ -116,22 +106,6 @@ class Divergence(NamedTuple):
     quantity: str
     recorded: str
     now: str
-
-
-def actions(recording: Recording, recorded: RecordedEpisode, space: Any) -> Iterator[Any]:
-    """The actions of an episode, in the action space.
-
-    Raises:
-        RecordingError: One cannot be read.
-    """
-    for step in recorded.steps[1:]:
-        with damaged(recording.path):
-            action = msgspec.json.decode(step["/step"])["action"]
-            if isinstance(space, spaces.Dict):
-                found: Any = {name: unpacked(action[name], part) for name, part in space.spaces.items()}
-            else:
-                found = unpacked(action["action"], space)
-        yield found
 
 
 def observation_hash_at(recording: Recording, recorded: RecordedEpisode, place: int) -> str:

@@ -402,6 +402,17 @@ def test_the_list_tells_runs_of_different_scenarios_with_one_name_apart(deepbots
     assert rows["one"] == rows["same"] != rows["other"]
 
 
+@pytest.mark.parametrize(
+    ("teacher", "shown"),
+    [("by_hand", "by_hand"), ("{script: by_hand, share: 0.2}", "by_hand"), ("null", None), ("[by_hand]", None), ("{share: 0.2}", None)],
+)
+def test_the_list_names_the_script_that_teaches(deepbots, trained, tmp_path, teacher, shown):
+    kept = tmp_path / "mine" / "resolved.yaml"
+    kept.write_text(kept.read_text().replace("\ntrain:\n", f"\ntrain:\n  teacher: {teacher}\n"))
+    assert json.loads(deepbots("runs", "mine", "--json").out)["teacher"] == shown
+    assert ("  teacher  " in deepbots("runs", ".").out) == (shown is not None)
+
+
 def test_warnings_about_another_scenario_are_mentioned_with_a_command_that_can_be_pasted(deepbots, trained, tmp_path):
     deepbots("new", "cartpole", "--from", "cartpole", "--json")
     text = (tmp_path / "cartpole.yaml").read_text()

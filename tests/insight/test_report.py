@@ -16,7 +16,7 @@ pytest.importorskip("matplotlib")
 pytest.importorskip("tensorboard")
 from deepbots_cli import api
 from deepbots_cli.cli import main
-from deepbots_cli.insight.figures import outline, trajectories
+from deepbots_cli.insight.figures import lessons, outline, trajectories
 from deepbots_cli.insight.report import Report
 from deepbots_cli.learning.group import GroupRecord
 from deepbots_cli.learning.statistics import mean_interval
@@ -96,6 +96,21 @@ def test_the_stages_of_a_curriculum_are_listed_with_their_last_evaluation(run):
     log.stages, log.evaluation_stages = [StageStart("wide", 0.0), StageStart("usual", 4096.0)], ["wide", "wide"]
     log.evaluations = np.array([2000.0, 4000.0]), np.array([20.0, 35.5])
     assert [row[1:] for row in report.stages] == [("wide", "0", "", "35.5"), ("usual", "4,096", "", "")]
+
+
+def test_the_script_that_taught_the_policy_is_named_with_its_score_and_drawn(run):
+    report = Report.read(run)
+    (log,) = (member.log for member in report.runs)
+    assert (report.teacher, lessons([log], "light")) == ("", None)
+    log.teacher = "by_hand"
+    assert report.teacher == "The script by_hand taught the policy."  # before its score was logged
+    at = np.array([100.0, 200.0])
+    log.lessons = {"success_rate": (at, np.array([0.9, 0.95])), "mean_return": (at, np.array([7.0, 7.25])), "agreement": (at, at / 400.0)}
+    assert report.teacher.endswith("the evaluations during the training: success rate 95.0%, mean return 7.25.")
+    drawn = {name: figure for name, _, figure in report.figures("light")}
+    assert [line.get_label() for line in drawn["returns"].axes[0].lines][-1] == "teacher by_hand"
+    assert [line.get_label() for line in drawn["teacher"].axes[0].lines] == ["agreement"]
+    assert report.teacher in report.html()
 
 
 def test_a_closed_line_is_drawn_closed(run):

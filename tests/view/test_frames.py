@@ -39,6 +39,14 @@ def test_an_episode_is_the_same_with_and_without_frames(name):
     assert found[0] == found[1]
 
 
+def test_no_message_of_the_episode_before_is_in_the_first_frame():
+    with closing(Player(Showing("cartpole").open(), ZERO)) as player:
+        first = player.begin(0, 0).messages
+        assert first["cart/to_robot"].values == (None,)
+        assert player.step().messages["cart/to_robot"].values != (None,)
+        assert player.begin(0, 0).messages == first
+
+
 def test_a_frame_holds_what_the_engine_says():
     with closing(deepbots_cli.make("find_ball")) as env:
         observation, _ = env.reset(seed=0)

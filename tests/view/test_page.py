@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import os
+import signal
+import threading
 import time
 from contextlib import closing
 from pathlib import Path
@@ -21,7 +23,9 @@ import deepbots_cli.codegen
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
 from deepbots_cli.frames import roll_pitch_yaw
+from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import HAND
+from deepbots_cli.rollout.recordings import Recording
 from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.frames import PlottedField
 from deepbots_cli.view.manual_input import ManualInput
@@ -153,6 +157,79 @@ def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch
         *_, last = replayed.episode(4, 0, 3)
         assert last.links == driven.links
         assert replayed.recording.metadata["driver"] == HAND
+
+
+def _drive_to_the_end(page):
+    while page.player.frame.ended_by is None:
+        page._manual_input.hold(frozenset({"KeyD"}), ())
+        page.step_once()
+
+
+def test_only_whole_episodes_of_the_person_are_recorded(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("mcap")
+    path = tmp_path / "drive.mcap"
+    with closing(Page(Showing("cartpole"), port=0, playing=True, seed=4, output=path)) as page:
+        page.step_once()
+        page._begin()  # which leaves out the episode before
+        assert not path.exists()
+        _drive_to_the_end(page)
+        first = path.read_bytes()
+        assert "1 episode recorded in drive.mcap<" in page._score() + "<"
+        page._drive("zero")
+        _drive_to_the_end(page)
+        assert path.read_bytes() == first
+        assert "not this one, which zero drives" in page._score()
+        page._drive(HAND)
+        page._set_seed(5)
+        _drive_to_the_end(page)
+        monkeypatch.setattr("deepbots_cli.view.recordings.MAX_DRIVEN_BYTES", len(path.read_bytes()))
+        second = path.read_bytes()
+        page._begin(1)
+        _drive_to_the_end(page)
+        assert "it takes no more, since the next one goes beyond" in page._score()
+        assert path.read_bytes() == second
+    recording = Recording.read(path)
+    seeds = [Start.of_evaluation(seed, 0).seed for seed in (4, 5)]
+    assert [(each.number, each.seed) for each in recording.episodes] == list(enumerate(seeds))
+    assert main(["replay", "--verify", str(path)]) == 0
+    assert "2 episodes" in capsys.readouterr().out
+
+
+def test_driven_episodes_are_in_the_file_when_the_command_is_ended(tmp_path, capsys):
+    pytest.importorskip("mcap")
+    path = tmp_path / "drive.mcap"
+
+    def drive():
+        """Hold a key in a browser until an episode has ended, and end the command."""
+        try:
+            while not (address := capsys.readouterr().out.strip()):
+                time.sleep(0.05)
+            host, _, token = address.removeprefix("http://").partition("/?token=")
+            allowed = {"origin": f"http://{host}", "additional_headers": {"Cookie": f"deepbots-{host.rpartition(':')[2]}={token}"}}
+            protocol = [f"viser-v{viser.__version__}"]
+            with (
+                connect(f"ws://{host}/", subprotocols=protocol, max_size=None, max_queue=None, **allowed) as browser,
+                connect(f"ws://{host}/drive", **allowed) as keys,
+            ):
+                browser.send(msgspec.msgpack.encode(CAMERA))
+                end = time.monotonic() + 30.0
+                while not path.exists() and time.monotonic() < end:
+                    keys.send("KeyD|")
+                    time.sleep(0.05)
+        finally:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    person = threading.Thread(target=drive)
+    person.start()
+    assert main(["play", "cartpole", "--port", "0", "--output", str(path)]) == 130
+    person.join()
+    told = capsys.readouterr()
+    assert f"{path} (1 episode, " in told.out
+    for following in (f"deepbots replay --verify {path}", f"deepbots train cartpole --teacher {path}"):
+        assert following in told.err
+    assert main(["replay", "--verify", str(path)]) == 0
+    assert main(["play", "cartpole", "--output", str(path)]) == 2
+    assert "already exists; overwrite it with --force" in capsys.readouterr().err
 
 
 def test_a_page_to_play_in_asks_for_its_token_on_loopback_and_records_up_to_a_limit(tmp_path, monkeypatch):

@@ -210,6 +210,41 @@ def test_the_page_of_a_run_lists_stages_and_evaluations(tmp_path):
     assert cells[6:] == ["30 steps, stage crowded", "return 2, success 50%"]
 
 
+def _taught(folder, **scalars):
+    (folder / "resolved.yaml").write_text("train: {teacher: by_hand}\n")
+    _events(folder / "tensorboard", **{f"teacher__{name}": values for name, values in scalars.items()})
+
+
+def test_the_score_of_a_teacher_is_a_line_and_its_lessons_have_a_panel(runs):
+    _taught(runs / "a0", mean_return=[(10, 7.0), (40, 7.0)], success_rate=[(10, 0.75), (40, 0.75)], weight=[(10, 1.0), (40, 0.0)])
+    returns, successes, lessons, *_ = plots.plot(plots.read_logs([runs / "a0"])).axes
+    for panel, score in ((returns, 7.0), (successes, 0.75)):
+        (line,) = (line for line in panel.lines if line.get_label() == "teacher by_hand")
+        assert line.get_xydata().tolist() == [[0, score], [10, score], [40, score]]
+    assert lessons.get_title("left") == "teacher by_hand"
+    assert [line.get_label() for line in lessons.lines] == ["loss weight"]
+    assert lessons.get_subplotspec().colspan == range(2)
+
+
+def test_trainings_with_a_teacher_have_a_panel_each_beside_one_without(runs):
+    _taught(runs / "a0", agreement=[(10, 0.5), (40, 1.0)])
+    _taught(runs / "b0", agreement=[(10, 0.5), (40, 1.0)])
+    _run(runs / "c0", "z", [1, 2, 3, 4])
+    titles = [panel.get_title("left") for panel in plots.plot(plots.read_logs([runs / "a0", runs / "b0", runs / "c0"])).axes]
+    assert titles[2:5] == ["a0: teacher by_hand", "b0: teacher by_hand", "a0: reward terms of an episode"]
+
+
+def test_a_training_that_a_recording_teaches_has_a_line_of_its_own(runs):
+    (runs / "a1" / "demonstrations.mcap").touch()
+    logs = plots.read_logs([runs / "a0", runs / "a1"])
+    assert [(log.name, log.teacher) for log in logs] == [("a0", None), ("a1", "demonstrations.mcap")]
+
+
+def test_the_success_rates_of_evaluations_are_dots_too(runs):
+    successes = plots.plot(plots.read_logs([runs / "a0"])).axes[1]
+    assert [line.get_xydata().tolist() for line in successes.lines if line.get_marker() == "o"] == [[[30.0, 0.5]]]
+
+
 def test_endings_are_shares_of_episodes(runs):
     figure = plots.plot(plots.read_logs([runs / "a0"]))
     tops = [area.get_paths()[0].vertices[:, 1].max() for area in figure.axes[3].collections]

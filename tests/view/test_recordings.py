@@ -20,10 +20,10 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from deepbots_cli.cli import main
+from deepbots_cli.rollout.recordings import Recording, RecordingError
 from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import SensorRays, WorldFrame
-from deepbots_cli.view.recordings import Recording, RecordingError
 from deepbots_cli.view.replay import ReplayPlayer, verify
 
 

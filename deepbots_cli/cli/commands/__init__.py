@@ -64,6 +64,7 @@ REPLACEMENTS: Mapping[str, str] = {
     "--script": "--driver NAME",
     "--policy": "--driver NAME",
     "--actions": "--driver ACTION,ACTION",
+    "--driver": "deepbots try SCENARIO --driver NAME",
     "--out": "--output FILE",
     "--picture": "deepbots render SCENARIO -o picture.png",
     "--video": "deepbots render RUN -o video.mp4",

@@ -125,7 +125,9 @@ def new(
         terminal.note_warnings(api.lint(written[0]), str(written[0]))
     if not as_json:
         _name_faster_engine(written[0])
-    further = ("try", "inspect", "lint", "train", *(() if schema or project else ("schema --for",)))
+    program = api.load(written[0]).program
+    teachers = [f"train --teacher {script.name}" for script in program.agent.scripts] if program is not None else []
+    further = ("try", "inspect", "lint", "train", *teachers[:1], *(() if schema or project else ("schema --for",)))
     _show(written, kept, further, as_json=as_json)
 
 

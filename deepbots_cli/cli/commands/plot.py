@@ -25,6 +25,9 @@ def command(
     mean over the seeds. A band reaches from the lowest value of all seeds to the highest. Each further scenario has its own line. Dots are
     the evaluations during the training. Dashed lines mark where the stages of a curriculum begin.
 
+    Of a training with a teacher, a dotted line is the score of the script, and one more panel shows how far the policy agrees with it, the
+    weight of the imitation loss, and the share of the worlds that the script drives.
+
     \b
       deepbots plot runs/cartpole-0-1
       deepbots plot runs --output all.svg

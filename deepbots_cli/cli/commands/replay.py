@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    recording: Annotated[str, typer.Argument(metavar="RECORDING", help="A recording (.mcap) of `deepbots render`.")],
+    recording: Annotated[str, typer.Argument(metavar="RECORDING", help="A recording (.mcap) of `deepbots render` or `deepbots play`.")],
     to_verify: Annotated[bool, option("--verify", "Run the episodes again, and compare every step bit for bit.")] = False,
     tolerance: Annotated[
         float,

@@ -46,7 +46,8 @@ def command(
 
     The return and the success rate come from an evaluation of the best model on held-out episodes; if there are several evaluations, from
     the one with the most episodes. Until the first evaluation, they come from the most recent training episodes, in which the policy
-    explores. The column `score` shows where they come from: `evaluation` or `training`.
+    explores. The column `score` shows where they come from: `evaluation` or `training`. The column `teacher` names the script that teaches
+    the policy, or the recording in the run.
 
     \b
       deepbots runs
@@ -112,6 +113,7 @@ def _row(run: ListedRun, *, with_file: bool = False) -> Row:
         "score": f"{run.score} ({run.evaluated_episodes})" if run.evaluated_episodes else run.score,
         "solved": run.solved,
         "cpu_s": None if run.cpu_seconds is None else round(run.cpu_seconds, 1),
+        "teacher": run.teacher,
         "set": short_settings(run.settings),
         "digest": run.digest[:8],
         "updated": run.updated[:16].replace("T", " "),

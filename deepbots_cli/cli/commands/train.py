@@ -40,7 +40,7 @@ from deepbots_cli.learning.group import MAX_RETRIES, Group
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.processes import python_command, python_environment
-from deepbots_cli.rollout.source import Source, SourceKind
+from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
 from deepbots_cli.scenario.training import MAX_SHARDS
 
 if TYPE_CHECKING:
@@ -121,7 +121,11 @@ def command(
         ),
     ] = None,
     teacher: Annotated[
-        str | None, option("--teacher SCRIPT", "Let a script of the scenario teach the policy first; by default `train.teacher`.")
+        str | None,
+        option(
+            "--teacher SCRIPT|FILE",
+            "Let a script of the scenario, or the episodes of a recording (.mcap), teach the policy first; by default `train.teacher`.",
+        ),
     ] = None,
     workers: Workers = None,
     address: ClusterAddress = None,
@@ -218,7 +222,8 @@ def command(
         retries.check(retry, apply=apply, other="--seeds" if seeds is not None else "--view" if to_view else None)
         scenario = _checked_options(scenario, seed, seeds, run)
         listed = None if seeds is None else seed_list(seeds)
-        undivided = [*with_engine(overrides, engine), *([] if teacher is None else [f"train.teacher={teacher}"])]
+        is_recorded = teacher is not None and teacher.endswith(RECORDING_SUFFIX)
+        undivided = [*with_engine(overrides, engine), *([] if teacher is None or is_recorded else [f"train.teacher={teacher}"])]
         changed = undivided if shards in (None, "auto") else [*undivided, f"train.shards={shards}"]
         compiled = api.with_learner(api.compile(scenario, overrides=changed, permissions=permissions))
         workers = _checked_workers(compiled.program, shards, listed, workers, address)
@@ -229,6 +234,7 @@ def command(
             "stage": stage,
             "keep_checkpoints": keep_checkpoints or 0,
             "initialize_from": initialize_from,
+            "demonstrations": teacher if is_recorded else None,
             "callbacks": _names(callbacks) or (),
             "loggers": _names(loggers) or (),
             "command": ["deepbots", *sys.argv[1:]],

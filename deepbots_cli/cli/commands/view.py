@@ -5,16 +5,19 @@ from __future__ import annotations
 import sys
 import webbrowser
 from dataclasses import replace
+from pathlib import Path
+from shlex import join
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepbots_cli.cli import terminal
+from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.command import (
     ADVANCED,
     EPISODES,
     Case,
     EngineOrRun,
+    Force,
     Overrides,
     Seed,
     Stage,
@@ -25,9 +28,11 @@ from deepbots_cli.cli.command import (
 )
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
+from deepbots_cli.rollout.source import RECORDING_SUFFIX
 
 if TYPE_CHECKING:
-    from deepbots_cli.view.episodes import Showing
+    from deepbots_cli.view.episodes import Showing, ShowingState
+    from deepbots_cli.view.recordings import DrivenEpisodes
 
 Shown = Annotated[
     str,
@@ -121,6 +126,9 @@ def view(
 
 def play(
     shown: ScenarioOrRun,
+    output: Annotated[
+        Path | None, option("--output -o FILE", "Record the episodes that you drive in this file (.mcap), which `replay` and `view` read.")
+    ] = None,
     seed: Seed = 0,
     episode: Episode = 0,
     overrides: Overrides = None,
@@ -130,6 +138,7 @@ def play(
     host: Host = "127.0.0.1",
     port: Port = None,
     open_: Open = False,
+    force: Force = False,
     permissions: Permissions = Permissions(),
 ) -> None:
     """Drive the robot of a scenario in the browser.
@@ -137,17 +146,24 @@ def play(
     You command the robot with keys, a gamepad, or buttons and sliders in the page. The page compares your return with that of another
     driver from the same start: the policy of a run, or the first script of a scenario (a policy written by hand).
 
+    With --output, each episode that you drive from the reset to the end is recorded. The file is complete after each of them, and takes at
+    most 256 MiB of steps before compression: half an hour of CartPole, or two hours of FindBall.
+
     \b
       deepbots play find_ball
+      deepbots play find_ball -o drive.mcap
       deepbots play runs/find_ball-0-1
       deepbots play cartpole --set world.timestep=64ms
 
     Next: `deepbots train SCENARIO` trains a policy.
     """
     from deepbots_cli.view.episodes import Showing
+    from deepbots_cli.view.pictures import check_target
 
+    if output is not None:
+        check_target(output, (RECORDING_SUFFIX,), force=force)
     source = Showing(shown, overrides or (), permissions, engine, case, stage)
-    _serve(source, open_, host=host, port=port, seed=seed, episode=episode, playing=True)
+    _serve(source, open_, host=host, port=port, seed=seed, episode=episode, playing=True, output=output)
 
 
 def _serve(source: Showing, open_: bool, **options: Any) -> None:
@@ -164,3 +180,31 @@ def _serve(source: Showing, open_: bool, **options: Any) -> None:
         page.run()
     finally:
         page.close()
+        if page.driven is not None:
+            _finish(page.driven)
+
+
+def _finish(driven: DrivenEpisodes) -> None:
+    """Print which episodes a person has driven, and what their recording is for."""
+    if driven.is_full:
+        terminal.note(driven.note)
+    if not driven.ends:
+        terminal.note(f"{driven.path} was not written: you drove no episode from its reset to its end")
+        return
+    driven.save()
+    rows = records.recorded_rows(enumerate(driven.ends))
+    count = f"{len(rows)} episode{'s' * (len(rows) > 1)}"
+    lines = [records.recorded_table(rows), f"{driven.path} ({count}, {driven.path.stat().st_size / 1000:,.0f} kB)"]
+    further = [["deepbots", "replay", "--verify"], [*_training_words(driven.player.opened), "--teacher"]]
+    terminal.show(None, *lines, as_json=False, next_commands=[join([*words, str(driven.path)]) for words in further])
+
+
+def _training_words(opened: ShowingState) -> list[str]:
+    """The command that trains what is shown."""
+    shown = opened.shown
+    if opened.run is not None:
+        from deepbots_cli.insight.training import training_command
+
+        return training_command(opened.run, shown.overrides)
+    changed = [word for text in shown.overrides for word in ("--set", text)]
+    return ["deepbots", "train", shown.reference, *changed, *(["--engine", shown.engine] if shown.engine else [])]

@@ -180,13 +180,19 @@ def collects_as_usual(training: Training, model: BaseAlgorithm) -> bool:
 
 def check(training: Training) -> None:
     """Raises: UsageError: The table does not hold the algorithm, it cannot be taught, or the networks would be larger than any memory."""
-    if training.teacher is not None and _entry(training.algorithm).base() == "RecurrentPPO":
-        raise UsageError(f"{training.algorithm} cannot learn from a teacher; leave out `teacher` under `train`")
+    if training.teacher is not None:
+        check_teachable(training)
     hidden = training.network.hidden
     if len(hidden) > _MOST_LAYERS:
         raise UsageError(f"a policy has at most {_MOST_LAYERS} hidden layers")
     if sum(one * other for one, other in pairwise(hidden)) > _MOST_WEIGHTS:
         raise UsageError(f"a policy with hidden layers of {', '.join(map(str, hidden))} units has more than {_MOST_WEIGHTS:,} weights")
+
+
+def check_teachable(training: Training) -> None:
+    """Raises: UsageError: The algorithm cannot learn from a teacher."""
+    if _entry(training.algorithm).base() == "RecurrentPPO":
+        raise UsageError(f"{training.algorithm} cannot learn from a teacher; leave out `teacher` under `train`, and --teacher")
 
 
 def check_memory(copies: int, memory: int | None = None) -> None:

@@ -1,23 +1,31 @@
-"""How on-policy algorithms imitate a teacher.
+"""How policies imitate a teacher.
 
-While the policy only imitates, `Lessons` keeps the states that it met, with what the teacher would do in each, and fits the policy to all
-of them (DAgger; S. Ross, G. Gordon, D. Bagnell, AISTATS 2011). The update of the library then trains the critic alone.
+With an on-policy algorithm, while the policy only imitates, `Lessons` keeps the states that it met, with what the teacher would do in each,
+and fits the policy to all of them (DAgger; S. Ross, G. Gordon, D. Bagnell, AISTATS 2011). The update of the library then trains the critic
+alone.
 
 After this, a loss is added to that of the library, within `imitating`. Its algorithms ask their policy for values, log-probabilities and
 entropies of each batch (`evaluate_actions`), and add the entropies to the loss with a weight: these then contain the imitation loss too.
+
+With an off-policy algorithm that has an actor, the replay buffer keeps what the teacher would do beside each action (`keep_labels`). The
+loss of the actor is the negative value of its actions; within `imitating_labels`, an imitation loss is subtracted from these values
+(TD3+BC; S. Fujimoto, S. S. Gu, NeurIPS 2021). While the policy only imitates, the actor follows this loss alone, and the critic learns
+its value.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 import torch
 from gymnasium import spaces
+from stable_baselines3.her import HerReplayBuffer
 
+from deepbots_cli.learning.demonstrations import Demonstrations
 from deepbots_cli.rollout.worlds import Array
 
 _MAX_BYTES = 200_000_000
@@ -32,6 +40,14 @@ _AGREES = 0.2
 """Largest difference of each range in [-1, 1] at which a policy agrees with its teacher."""
 _BETA = 0.2
 """Distance from the teacher at which the loss turns from quadratic to linear."""
+_SCALE = 1.0
+"""Weight of the imitation loss beside the values of a critic, relative to their mean absolute value."""
+_DEMONSTRATED_SHARE = 0.25
+"""Share of each batch of a replay buffer that is drawn from demonstrations."""
+_UNKNOWN = 2.0
+"""A label in a replay buffer where there is none; actions are in [-1, 1]."""
+_ONLY_SCALE = 10.0
+"""Weight of the imitation loss of an actor that only imitates; SAC adds its entropy to it."""
 
 
 class Lessons:
@@ -39,10 +55,17 @@ class Lessons:
 
     Args:
         model: The algorithm, whose rollout buffer has the shapes.
+        demonstrations: Of a recording: then these are its states, and others are not added.
     """
 
-    def __init__(self, model: Any) -> None:
+    def __init__(self, model: Any, demonstrations: Demonstrations | None = None) -> None:
         self._model = model
+        if demonstrations is not None:
+            shown = demonstrations.observations
+            self.observations: Any = {key: part[:, None] for key, part in shown.items()} if isinstance(shown, dict) else shown[:, None]
+            self.actions = demonstrations.actions[:, None]
+            self.buffer_size, self.pos, self.full = len(self.actions), 0, True
+            return
         model.rollout_buffer.reset()  # an update has reordered it
         seen = model.rollout_buffer.observations
         width = sum(part[0].nbytes for part in (seen.values() if isinstance(seen, dict) else [seen]))
@@ -73,7 +96,6 @@ class Lessons:
     def fit(self, new: int) -> float:
         """Fit the policy after `new` states were added; the mean loss."""
         model, policy = self._model, self._model.policy
-        size, width = self.buffer_size if self.full else self.pos, model.n_envs
         policy.set_training_mode(True)
         if isinstance(model.action_space, spaces.Box) and not model.use_sde:
             with torch.no_grad():
@@ -82,12 +104,7 @@ class Lessons:
             group["lr"] = _LEARNING_RATE
         losses = []
         for _ in range(max(1, round(_STEPS_PER_ROW * new))):
-            chosen = torch.randint(size * width, (_BATCH_SIZE,)).numpy()
-            at = chosen // width, chosen % width
-            seen = self.observations
-            batch: Any = {key: part[at] for key, part in seen.items()} if isinstance(seen, dict) else seen[at]
-            observations, _ = policy.obs_to_tensor(batch)
-            taught = torch.as_tensor(self.actions[at], device=model.device)
+            observations, taught = self.draw(_BATCH_SIZE)
             loss = _loss(model, policy.get_distribution(observations), taught).mean()
             policy.optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]  # of the library
@@ -95,15 +112,26 @@ class Lessons:
             losses.append(loss.item())
         return float(np.mean(losses))
 
+    def draw(self, count: int) -> tuple[Any, torch.Tensor]:
+        """Observations and actions of `count` random states."""
+        width = self.actions.shape[1]
+        chosen = torch.randint((self.buffer_size if self.full else self.pos) * width, (count,)).numpy()
+        at = chosen // width, chosen % width
+        seen = self.observations
+        batch: Any = {key: part[at] for key, part in seen.items()} if isinstance(seen, dict) else seen[at]
+        observations, _ = self._model.policy.obs_to_tensor(batch)
+        return observations, torch.as_tensor(self.actions[at], device=self._model.device)
+
 
 @contextmanager
-def only_imitating(model: Any, lessons: Lessons, taught: Array) -> Iterator[None]:
+def only_imitating(model: Any, lessons: Lessons, taught: Array | None) -> Iterator[None]:
     """Within, the update of an on-policy algorithm trains the critic alone; afterwards, the policy is fitted to all lessons.
 
     Args:
-        taught: What the teacher would do in the states of the rollout buffer, of shape (steps, rows, ...).
+        taught: What the teacher would do in the states of the rollout buffer, of shape (steps, rows, ...); None with a recording.
     """
-    lessons.add(taught)  # before the update, which reorders the rollout buffer
+    if taught is not None:
+        lessons.add(taught)  # before the update, which reorders the rollout buffer
     own = {name: getattr(model, name) for name in ("ent_coef", "target_kl") if hasattr(model, name)}
     model.rollout_buffer.advantages[...] = 0.0
     model.ent_coef = 0.0
@@ -114,29 +142,42 @@ def only_imitating(model: Any, lessons: Lessons, taught: Array) -> Iterator[None
     finally:
         for name, value in own.items():
             setattr(model, name, value)
-    model.logger.record("teacher/loss", lessons.fit(taught.shape[0] * taught.shape[1]))
+    model.logger.record("teacher/loss", lessons.fit(model.n_steps * model.n_envs))
 
 
 @contextmanager
-def imitating(model: Any, taught: Array, weight: float) -> Iterator[None]:
-    """Within, updates of an on-policy algorithm also imitate: `taught` are the actions of the teacher, of shape (steps, rows, ...)."""
+def imitating(model: Any, taught: Array | Lessons, weight: float) -> Iterator[None]:
+    """Within, updates of an on-policy algorithm also imitate.
+
+    Args:
+        model: The algorithm.
+        taught: What the teacher would do in the states of the rollout buffer, of shape (steps, rows, ...), or the states of a recording.
+        weight: Of the imitation loss.
+    """
     buffer, policy, ent_coef = model.rollout_buffer, model.policy, model.ent_coef
-    shape = (-1, *taught.shape[2:])
-    labels = torch.as_tensor(np.ascontiguousarray(taught.swapaxes(0, 1)).reshape(shape), device=model.device)
+    lessons = taught if isinstance(taught, Lessons) else None
+    labels = torch.empty(0)
+    if not isinstance(taught, Lessons):
+        shape = (-1, *taught.shape[2:])
+        labels = torch.as_tensor(np.ascontiguousarray(taught.swapaxes(0, 1)).reshape(shape), device=model.device)
     samples, evaluate = buffer._get_samples, policy.evaluate_actions
     batch: list[torch.Tensor] = []
     losses: list[float] = []
     entropies: list[float] = []
 
     def get_samples(indices: Array, *rest: Any) -> Any:
-        batch[:] = [labels[indices]]
+        batch[:] = [labels[indices]] if lessons is None else []
         return samples(indices, *rest)
 
     def evaluate_actions(observations: Any, actions: torch.Tensor, **options: Any) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         values, log_prob, entropy = evaluate(observations, actions, **options)
         if entropy is None:
             entropy = -log_prob
-        loss = _loss(model, policy.get_distribution(observations, **options), batch[0])
+        if lessons is None:
+            loss = _loss(model, policy.get_distribution(observations, **options), batch[0])
+        else:
+            shown, wanted = lessons.draw(len(actions))
+            loss = _loss(model, policy.get_distribution(shown), wanted)
         losses.append(float(loss.detach().mean()))
         entropies.append(-float(entropy.detach().mean()))
         return values, log_prob, ent_coef * entropy - weight * loss
@@ -149,12 +190,143 @@ def imitating(model: Any, taught: Array, weight: float) -> Iterator[None]:
         model.ent_coef = ent_coef
     model.logger.record("train/entropy_loss", float(np.mean(entropies)))
     model.logger.record("teacher/loss", float(np.mean(losses)))
-    model.logger.record("teacher/weight", weight)
 
 
-def agreement(model: Any, taught: Array) -> float:
-    """The share of the states of the rollout buffer in which the policy, without exploration, does what the teacher would do."""
-    seen = model.rollout_buffer.observations
+def keep_labels(model: Any) -> None:
+    """Let the replay buffer keep what the teacher would do beside each action: its rows of actions have twice the width.
+
+    A label is `_UNKNOWN` where no teacher was asked, and in transitions with another goal than that of the episode.
+    """
+    buffer = model.replay_buffer
+    width = buffer.action_dim
+    buffer.action_dim *= 2
+    buffer.actions = np.zeros((*buffer.actions.shape[:2], 2 * width), buffer.actions.dtype)
+    draw = buffer.sample
+
+    def sample(*arguments: Any, **options: Any) -> Any:
+        found = draw(*arguments, **options)
+        buffer.labels = found.actions[:, width:]
+        return found._replace(actions=found.actions[:, :width])
+
+    buffer.sample = sample
+    if isinstance(buffer, HerReplayBuffer):
+        virtual = buffer._get_virtual_samples
+
+        def get_virtual_samples(*arguments: Any) -> Any:
+            found = virtual(*arguments)
+            found.actions[:, width:] = _UNKNOWN
+            return found
+
+        buffer._get_virtual_samples = get_virtual_samples  # type: ignore[method-assign, assignment]
+
+
+def mix_in(model: Any, demonstrations: Demonstrations) -> None:
+    """Let the replay buffer draw a fixed share of each batch from demonstrations, whose actions are their labels."""
+    buffer = model.replay_buffer
+    draw, device = buffer.sample, model.device
+    shown, following = (_tensors(seen, device) for seen in (demonstrations.observations, demonstrations.following))
+    count = len(demonstrations.actions)
+    actions = torch.as_tensor(demonstrations.actions.reshape(count, -1), device=device)
+    ends = torch.as_tensor(demonstrations.terminated[:, None], dtype=torch.float32, device=device)
+
+    def sample(batch_size: int, env: Any = None) -> Any:
+        found = draw(batch_size, env=env)
+        at = torch.from_numpy(np.random.randint(count, size=round(_DEMONSTRATED_SHARE * batch_size)))
+        rewards = buffer._normalize_reward(demonstrations.rewards[at.numpy(), None], env)
+        drawn = {"actions": actions[at], "rewards": torch.as_tensor(rewards, dtype=torch.float32, device=device), "dones": ends[at]}
+        for name, part in drawn.items():
+            getattr(found, name)[: len(at)] = part
+        for mixed, own in ((found.observations, shown), (found.next_observations, following)):
+            for key, part in own.items() if isinstance(own, dict) else [(None, own)]:
+                (mixed if key is None else mixed[key])[: len(at)] = part[at]
+        if found.discounts is not None:  # of several steps, where these are single ones
+            found.discounts[: len(at)] = model.gamma
+        if hasattr(buffer, "labels"):
+            buffer.labels[: len(at)] = actions[at]
+        return found
+
+    buffer.sample = sample
+
+
+def _tensors(seen: Any, device: Any) -> Any:
+    return {key: _tensors(part, device) for key, part in seen.items()} if isinstance(seen, dict) else torch.as_tensor(seen, device=device)
+
+
+def labeled(stored: Array, taught: Array | None) -> Array:
+    """Actions as a replay buffer with labels keeps them; `taught` is what the teacher would do, None if it was not asked."""
+    return np.concatenate([stored, np.full_like(stored, _UNKNOWN) if taught is None else np.clip(taught, -1.0, 1.0)], axis=1)
+
+
+@contextmanager
+def imitating_labels(model: Any, weight: float, *, only: bool, new: int) -> Iterator[None]:
+    """Within, the update of an off-policy algorithm also imitates.
+
+    Args:
+        model: The algorithm.
+        weight: Of the imitation loss.
+        only: Whether the actor only imitates. Then it is also fitted to labels afterwards.
+        new: Number of states since the last update.
+    """
+    buffer, critic = model.replay_buffer, model.critic
+    losses: list[float] = []
+
+    def with_teacher(evaluate: Callable[..., Any]) -> Callable[..., Any]:
+        def values(observations: Any, actions: torch.Tensor) -> Any:
+            found = evaluate(observations, actions)
+            if not actions.requires_grad:  # of the replay buffer, not of the actor
+                return found
+            loss = _distance(actions, buffer.labels)
+            losses.append(float(loss.detach().mean()))
+            parts = found if isinstance(found, tuple) else (found,)
+            scale = _ONLY_SCALE if only else _SCALE * parts[0].detach().abs().mean()
+            penalty = (weight * scale * loss).reshape(-1, *[1] * (parts[0].ndim - 1))
+            parts = tuple((0.0 if only else 1.0) * part - penalty for part in parts)
+            return parts if isinstance(found, tuple) else parts[0]
+
+        return values
+
+    names = [name for name in ("forward", "q1_forward") if hasattr(critic, name)]
+    for name in names:
+        setattr(critic, name, with_teacher(getattr(critic, name)))
+    try:
+        yield
+    finally:
+        for name in names:
+            delattr(critic, name)
+    if only:
+        _fit_actor(model, max(1, round(_STEPS_PER_ROW * new)))
+    if losses:
+        model.logger.record("teacher/loss", float(np.mean(losses)))
+
+
+def _fit_actor(model: Any, steps: int) -> None:
+    """Fit the likeliest actions of an actor to the labels in the replay buffer."""
+    actor, buffer = model.actor, model.replay_buffer
+    for group in actor.optimizer.param_groups:  # the update of the library sets its own rate again
+        group["lr"] = _LEARNING_RATE
+    for _ in range(steps):
+        seen = buffer.sample(_BATCH_SIZE, env=model._vec_normalize_env).observations
+        loss = _distance(actor._predict(seen, deterministic=True), buffer.labels)
+        actor.optimizer.zero_grad()
+        loss.mean().backward()  # type: ignore[no-untyped-call]  # of the library
+        actor.optimizer.step()
+
+
+def _distance(actions: torch.Tensor, labels: torch.Tensor) -> torch.Tensor:
+    """Per row, the distance of actions from their labels; 0 where there is none."""
+    found = torch.nn.functional.smooth_l1_loss(actions, labels, beta=_BETA, reduction="none").sum(1)
+    return found * (labels[:, 0] != _UNKNOWN)
+
+
+def agreement(model: Any, observations: Any, taught: Array) -> float:
+    """The share of the states in which the policy, without exploration, does what the teacher would do.
+
+    Args:
+        model: The algorithm.
+        observations: Of shape (steps, rows, ...).
+        taught: What the teacher would do in them, of the same shape.
+    """
+    seen = observations
     flat: Any = (
         {key: part.reshape(-1, *part.shape[2:]) for key, part in seen.items()}
         if isinstance(seen, dict)
@@ -162,7 +334,11 @@ def agreement(model: Any, taught: Array) -> float:
     )
     model.policy.set_training_mode(False)
     with torch.no_grad():
-        found = model.policy.get_distribution(model.policy.obs_to_tensor(flat)[0]).mode().cpu().numpy()
+        given = model.policy.obs_to_tensor(flat)[0]
+        if hasattr(model, "rollout_buffer"):
+            found = model.policy.get_distribution(given).mode().cpu().numpy()
+        else:
+            found = model.policy._predict(given, deterministic=True).cpu().numpy()
     wanted = taught.reshape(found.shape)
     if isinstance(model.action_space, spaces.Box):
         same = np.abs(np.clip(found, -1.0, 1.0) - np.clip(wanted, -1.0, 1.0)) <= _AGREES

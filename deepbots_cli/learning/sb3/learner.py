@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from inspect import signature
 from pathlib import Path
 from typing import Any, get_args
@@ -19,6 +20,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.preprocessing import get_action_dim
 from stable_baselines3.common.type_aliases import RolloutReturn
 from stable_baselines3.common.vec_env import VecNormalize
 from stable_baselines3.her import HerReplayBuffer
@@ -26,16 +28,28 @@ from stable_baselines3.her import HerReplayBuffer
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.callbacks import TrainingCallback
 from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState
+from deepbots_cli.learning.demonstrations import Demonstrations
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
 from deepbots_cli.learning.sb3 import algorithms, models, networks, rollouts, state
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment, as_returned, spaces_only
-from deepbots_cli.learning.sb3.imitation import Lessons, agreement, imitating, only_imitating
+from deepbots_cli.learning.sb3.imitation import (
+    Lessons,
+    agreement,
+    imitating,
+    imitating_labels,
+    keep_labels,
+    labeled,
+    mix_in,
+    only_imitating,
+)
 from deepbots_cli.learning.sb3.logs import encoded, number_of
 from deepbots_cli.learning.teacher import Plan
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.collector import Decision, Fragment, Lesson, LocalCollector, PolicyActor, ShardedCollector
 from deepbots_cli.rollout.worlds import WorldsStep
 
+AGREEMENT_STEPS = 64
+"""Steps of each copy of the environment after which an off-policy algorithm measures the agreement with a teacher."""
 SCALAR_WINDOW_STEPS = 256
 """Steps of each copy of the environment that the scalars of an off-policy algorithm describe."""
 
@@ -55,9 +69,9 @@ class StableLearner(Learner):
         if collector is not None and setup.training.normalize is not None:
             gamma: Any = next((h.value for h in setup.training.hyperparameters if h.name == "gamma"), 0.99)
             env = VecNormalize(env, norm_obs=False, gamma=gamma)  # rewards by a running standard deviation of the return
-        mixin: type[_SavesPlainly] = _SavesPlainly if setup.training.teacher is None else _IsTaught
+        mixin: type[_SavesPlainly] = _SavesPlainly if setup.training.teacher is None and setup.demonstrations is None else _IsTaught
         if isinstance(collector, ShardedCollector):
-            mixin = _RepeatsActions
+            mixin = _RepeatsLessons if mixin is _IsTaught else _RepeatsActions
         self.model: Any = algorithms.create(
             setup.training,
             env,
@@ -69,6 +83,13 @@ class StableLearner(Learner):
         )
         self.takes_masks = algorithms.takes_masks(self.model)
         self.confirms = isinstance(self.model, OffPolicyAlgorithm)
+        demonstrations = self._prepared(setup.demonstrations)
+        if self.confirms and isinstance(self.model, _IsTaught) and collector is not None and hasattr(self.model, "actor"):
+            keep_labels(self.model)
+            self.model.keeps_labels = True
+        if self.confirms and demonstrations is not None:
+            mix_in(self.model, demonstrations)
+        self._shown = None if demonstrations is None or self.confirms else Lessons(self.model, demonstrations)
         self._by_fragments = not self.confirms and algorithms.collects_as_usual(setup.training, self.model)
         self._actor = rollouts.ExplorationActor(self.model) if self.confirms else rollouts.RolloutActor(self.model)
         if isinstance(collector, ShardedCollector):
@@ -108,7 +129,7 @@ class StableLearner(Learner):
         if not (self._by_fragments or self.confirms) or hasattr(self.model, "_last_lstm_states"):
             super().be_taught(plan)
         self._plan = plan
-        if plan.only != (self._lessons is not None):
+        if not self.confirms and self._shown is None and plan.only != (self._lessons is not None):
             self._lessons = Lessons(self.model) if plan.only else None
             self._replay.forget(self.steps // self.model.n_envs)
         if self.confirms and isinstance(self._collector, LocalCollector):
@@ -178,17 +199,41 @@ class StableLearner(Learner):
             elif model.num_timesteps > model.learning_starts:
                 gradient_steps = model.gradient_steps if model.gradient_steps >= 0 else self._rollout.episode_timesteps
                 if gradient_steps > 0:
-                    model.train(batch_size=model.batch_size, gradient_steps=gradient_steps)
+                    with self._imitation():
+                        model.train(batch_size=model.batch_size, gradient_steps=gradient_steps)
 
     def _imitation(self) -> AbstractContextManager[None]:
         """What a teacher adds to an update."""
+        model, plan = self.model, self._plan
+        if getattr(model, "keeps_labels", False):
+            new, period = self._rollout.episode_timesteps, AGREEMENT_STEPS * model.n_envs
+            if plan.only and self.steps // period > (self.steps - new) // period:
+                seen, _, _ = self.recent()
+                taught = self._recent_rows(model.replay_buffer.actions)[..., get_action_dim(model.action_space) :]
+                if self.setup.demonstrations is None:
+                    self._agrees(seen, taught)
+            return imitating_labels(model, plan.weight, only=plan.only, new=new) if plan.weight else nullcontext()
+        if self._shown is not None:
+            if plan.only:
+                return only_imitating(model, self._shown, None)
+            return imitating(model, self._shown, plan.weight) if plan.weight else nullcontext()
         if self._taught is None:
             return nullcontext()
         if self._lessons is not None:
-            self.agreement = agreement(self.model, self._taught)
-            self.model.logger.record("teacher/agreement", self.agreement)
+            self._agrees(model.rollout_buffer.observations, self._taught)
             return only_imitating(self.model, self._lessons, self._taught)
         return imitating(self.model, self._taught, self._plan.weight)
+
+    def _agrees(self, observations: Any, taught: Array) -> None:
+        self.agreement = agreement(self.model, observations, taught)
+        self.model.logger.record("teacher/agreement", self.agreement)
+
+    def _prepared(self, shown: Demonstrations | None) -> Demonstrations | None:
+        """Demonstrations as the policy takes them: with the channels of images first."""
+        if shown is None:
+            return None
+        observations, following = (rollouts.prepared(self.model, seen) for seen in (shown.observations, shown.following))
+        return replace(shown, observations=observations, following=following)
 
     def end(self) -> None:
         self._callback.on_training_end()
@@ -216,10 +261,17 @@ class StableLearner(Learner):
         if not self.confirms:
             buffer: Any = self.model.rollout_buffer
             return buffer.observations, buffer.actions, buffer.log_probs
+        seen, rows = self.model.replay_buffer.observations, self._recent_rows
+        width = get_action_dim(self.model.action_space)
+        observations = {key: rows(part) for key, part in seen.items()} if isinstance(seen, dict) else rows(seen)
+        return observations, rows(self.model.replay_buffer.actions)[..., :width], None
+
+    def _recent_rows(self, column: Array) -> Array:
+        """The last rows of a column of the replay buffer."""
         buffer = self.model.replay_buffer
         rows = np.arange(buffer.pos - min(SCALAR_WINDOW_STEPS, buffer.size()), buffer.pos) % buffer.buffer_size
-        seen = buffer.observations
-        return {key: part[rows] for key, part in seen.items()} if isinstance(seen, dict) else seen[rows], buffer.actions[rows], None
+        found: Array = column[rows]
+        return found
 
     # Numbers
 
@@ -343,14 +395,16 @@ class _IsTaught(_SavesPlainly):
     """An off-policy algorithm with a teacher, which drives some of the worlds."""
 
     lesson: tuple[Lesson | None, LocalCollector | None] = (None, None)
+    keeps_labels = False
 
     def _sample_action(self, *arguments: Any) -> tuple[Array, Array]:
         actions, stored = super()._sample_action(*arguments)  # type: ignore[misc]  # of the algorithm
         lesson, collector = self.lesson
-        if lesson is None or collector is None:
-            return actions, stored
-        decision = collector.taught(Decision(actions, {"stored": stored}), lesson)
-        return decision.actions, decision.columns["stored"]
+        taught = None
+        if lesson is not None and collector is not None:
+            actions, columns = collector.taught(Decision(actions, {"stored": stored}), lesson)
+            stored, taught = columns["stored"], columns["taught"]
+        return actions, labeled(stored, taught) if self.keeps_labels else stored
 
 
 class _RepeatsActions(_SavesPlainly):
@@ -363,6 +417,16 @@ class _RepeatsActions(_SavesPlainly):
         step = self._repeated % len(self.recorded.actions)
         self._repeated += 1
         return self.recorded.actions[step], self.recorded.columns["stored"][step]
+
+
+class _RepeatsLessons(_IsTaught, _RepeatsActions):
+    """An off-policy algorithm with a teacher whose shards have acted already."""
+
+    def _sample_action(self, *_: Any) -> tuple[Array, Array]:
+        step = self._repeated % len(self.recorded.actions)
+        actions, stored = _RepeatsActions._sample_action(self)
+        taught = self.recorded.columns.get("taught")
+        return actions, labeled(stored, None if taught is None else taught[step]) if self.keeps_labels else stored
 
 
 class _MonitorCallback(BaseCallback):

@@ -53,7 +53,7 @@ class RolloutActor:
             policy.reset_noise(model.n_envs)
         self._step += 1
         with torch.no_grad():
-            seen = obs_as_tensor(_prepared(model, observations), model.device)
+            seen = obs_as_tensor(prepared(model, observations), model.device)
             if self._is_recurrent:
                 columns |= self.memory()
                 actions, values, log_probs, model._last_lstm_states = policy(seen, model._last_lstm_states, _floats(model, starts))
@@ -117,7 +117,7 @@ class ExplorationActor:
         if model.use_sde and model.sde_sample_freq > 0 and self._step % model.sde_sample_freq == 0:
             model.actor.reset_noise(model.n_envs)
         model.num_timesteps = self._first_step + self._step * self._rows
-        model._last_obs = _prepared(model, observations)
+        model._last_obs = prepared(model, observations)
         self._step += 1
         actions, stored = model._sample_action(model.learning_starts, self._noise, model.n_envs)
         return Decision(actions, {"stored": stored})
@@ -164,11 +164,11 @@ def fill(model: Any, fragment: Fragment) -> None:
     rewards = _rewards(model, fragment)
     seen = fragment.observations
     if isinstance(seen, dict):
-        flat = _prepared(model, {key: part.reshape(-1, *part.shape[2:]) for key, part in seen.items()})
+        flat = prepared(model, {key: part.reshape(-1, *part.shape[2:]) for key, part in seen.items()})
         for key, part in flat.items():
             buffer.observations[key][...] = part.reshape(buffer.observations[key].shape)
     else:
-        buffer.observations[...] = _prepared(model, seen.reshape(-1, *seen.shape[2:])).reshape(buffer.observations.shape)
+        buffer.observations[...] = prepared(model, seen.reshape(-1, *seen.shape[2:])).reshape(buffer.observations.shape)
     buffer.actions[...] = columns["action"].reshape(buffer.actions.shape)
     buffer.rewards[...], buffer.episode_starts[...] = rewards, fragment.starts
     buffer.values[...], buffer.log_probs[...] = columns["values"], columns["log_probs"]
@@ -178,7 +178,7 @@ def fill(model: Any, fragment: Fragment) -> None:
         if name in columns:
             getattr(buffer, name)[...] = columns[name].swapaxes(1, 2)
     buffer.pos, buffer.full = buffer.buffer_size, True
-    model._last_obs, model._last_episode_starts = _prepared(model, fragment.following), fragment.following_starts
+    model._last_obs, model._last_episode_starts = prepared(model, fragment.following), fragment.following_starts
     memory = () if "cell_states_vf" not in columns else (model._last_lstm_states.vf, _floats(model, fragment.following_starts))
     with torch.no_grad():
         values = model.policy.predict_values(obs_as_tensor(model._last_obs, model.device), *memory)
@@ -196,7 +196,7 @@ def _rewards(model: Any, fragment: Fragment) -> Array:
             normalizer.returns[done] = 0
     for number, ending in fragment.endings:
         if ending.timed_out:
-            seen, _ = model.policy.obs_to_tensor(_prepared(model, ending.observation))
+            seen, _ = model.policy.obs_to_tensor(prepared(model, ending.observation))
             memory = _memory_after(model, fragment, number, ending.row)
             with torch.no_grad():
                 rewards[number, ending.row] += model.gamma * model.policy.predict_values(seen, *memory)[0]
@@ -218,6 +218,6 @@ def _floats(model: Any, truths: Array) -> torch.Tensor:
     return torch.tensor(truths, dtype=torch.float32, device=model.device)
 
 
-def _prepared(model: Any, observations: Any) -> Any:
+def prepared(model: Any, observations: Any) -> Any:
     """Observations as the policy takes them: with the channels of pictures first."""
     return model.env.transpose_observations(observations) if isinstance(model.env, VecTransposeImage) else observations

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.preprocessing import get_action_dim
 from stable_baselines3.her import HerReplayBuffer
 
 from deepbots_cli.learning.checkpoint_files import (
@@ -124,7 +125,7 @@ class ReplayFiles:
             read, rows = read_arrays(self._path(first, last), specs), self._rows(buffer, first, last)[-buffer.buffer_size :]
             for name, column in columns.items():
                 column[rows] = read[name][-len(rows) :]
-            check_actions(read["actions"], action_space)
+            check_actions(read["actions"][..., : get_action_dim(action_space)], action_space)  # the rest are labels of a teacher
         buffer.pos, buffer.full = (added - self.offset) % buffer.buffer_size, added - self.offset >= buffer.buffer_size
         if isinstance(buffer, HerReplayBuffer):
             self._find_episodes(buffer, oldest, added, begin_anew=not same)

@@ -1,0 +1,200 @@
+"""Reading recordings: the episodes in an MCAP file, with the scenario that they ran in. `view.recordings` writes them."""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import msgspec
+import numpy as np
+from gymnasium import spaces
+
+from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.files import read_at_most
+
+FORMAT = 1
+_MAX_FILE, _MAX_RECORD, _MAX_CONTENT = 1 << 28, 1 << 26, 1 << 29  # bytes: of a file, of one record, and of all of them unpacked
+_MAX_INPUTS = 1000
+_RECORD_OVERHEAD_BYTES = 100
+"""Bytes that a record takes in memory besides its content: a chunk of empty ones is a bomb too."""
+Payloads = Mapping[str, bytes]
+
+
+class RecordingError(UsageError):
+    """A recording cannot be read: it is none, cut short, damaged, or of another version."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedEpisode:
+    """One episode of a recording: its number, the seed of its reset, and the topics of each step, as bytes."""
+
+    number: int
+    seed: int
+    steps: Sequence[Payloads]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A recording as it was read; `folder` holds its scenario while it is open."""
+
+    path: Path
+    metadata: Mapping[str, str]
+    episodes: Sequence[RecordedEpisode]
+    folder: TemporaryDirectory[str]
+
+    @staticmethod
+    def read(path: Path) -> Recording:
+        """Read a file, and unpack its scenario into a folder of its own.
+
+        Raises:
+            RecordingError: It cannot be read; says why in one sentence.
+            MissingExtraError: mcap is not installed.
+        """
+        if path.exists() and not (path.is_file() or path.is_dir()):  # opening a pipe waits for ever
+            raise RecordingError(f"{path} is not a regular file")
+        try:
+            data = read_at_most(path, _MAX_FILE + 1)
+        except OSError as error:
+            raise RecordingError(f"{path} cannot be read: {(error.strerror or 'unknown reason').lower()}") from error
+        if len(data) > _MAX_FILE:
+            raise RecordingError(f"{path} is larger than {_MAX_FILE >> 20} MiB, which is the largest recording that can be shown")
+        if not data.startswith(b"\x89MCAP"):
+            raise RecordingError(f"{path} is not a recording: it is not an MCAP file")
+        metadata, files, steps = _content(path, data)
+        if metadata is None:
+            raise RecordingError(f"{path} is an MCAP file that deepbots did not record; open it in Foxglove")
+        if metadata.get("format") != str(FORMAT):
+            raise RecordingError(
+                f"{path} is a recording of format {metadata.get('format', '?')[:20]}, but this version of deepbots reads {FORMAT}; "
+                "use the version that recorded it"
+            )
+        if "resolved.yaml" not in files or not steps:
+            raise RecordingError(f"{path} is damaged: it contains no {'episode' if files else 'scenario'}")
+        folder = TemporaryDirectory(prefix="deepbots-recording-")
+        for name, content in files.items():
+            target = Path(folder.name, name)
+            try:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(content)
+            except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
+                raise RecordingError(f"{path} is damaged: it contains a file and a folder of the same name") from error
+        return Recording(path, metadata, list(_episodes(path, steps)), folder)
+
+    def episode(self, number: int) -> RecordedEpisode:
+        """The episode of this number.
+
+        Raises:
+            UsageError: There is none; says which there are.
+        """
+        found = next((episode for episode in self.episodes if episode.number == number), None)
+        if found is None:
+            numbers = [episode.number for episode in self.episodes]
+            listed = str(numbers[0]) if len(numbers) == 1 else f"{min(numbers)} to {max(numbers)}"
+            raise UsageError(f"{self.path} contains no episode {number}; it contains {listed}")
+        return found
+
+
+def _content(path: Path, data: bytes) -> tuple[Mapping[str, str] | None, dict[str, bytes], list[dict[str, bytes]]]:
+    """Metadata, attached files, and the topics of each step."""
+    try:
+        from mcap import records
+        from mcap.exceptions import McapError
+        from mcap.stream_reader import StreamReader, breakup_chunk
+        from zstandard import ZstdError, get_frame_parameters
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("view", "a recording") from error
+    metadata: Mapping[str, str] | None = None
+    files: dict[str, bytes] = {}
+    topics: dict[int, str] = {}
+    messages: list[records.Message] = []
+    size = 0
+    try:
+        for found in StreamReader(io.BytesIO(data), emit_chunks=True, record_size_limit=_MAX_RECORD).records:
+            if isinstance(found, records.Metadata) and found.name == "deepbots":
+                metadata = found.metadata
+            elif isinstance(found, records.Attachment):
+                size += len(found.data)
+                files[_safe(found.name)] = found.data
+            elif isinstance(found, records.Chunk):
+                # The unpacked size is in the frame too, and decompression goes by that one.
+                unpacked = get_frame_parameters(found.data).content_size if found.compression == "zstd" else len(found.data)
+                size += unpacked
+                if found.compression not in ("zstd", "") or unpacked != found.uncompressed_size or max(size, 8 * unpacked) > _MAX_CONTENT:
+                    raise RecordingError(
+                        f"{path} is damaged, larger than {_MAX_CONTENT >> 20} MiB when decompressed, or uses an unknown compression"
+                    )
+                inner = breakup_chunk(found, validate_crc=True)
+                size += _RECORD_OVERHEAD_BYTES * len(inner)
+                topics |= {each.id: each.topic for each in inner if isinstance(each, records.Channel)}
+                messages += [each for each in inner if isinstance(each, records.Message)]
+            if size > _MAX_CONTENT or len(files) > _MAX_INPUTS:
+                raise RecordingError(f"{path} contains more than {_MAX_CONTENT >> 20} MiB, or more than {_MAX_INPUTS} files")
+        steps = [{topics[each.channel_id]: each.data for each in step} for _, step in groupby(messages, lambda each: each.log_time)]
+    except (McapError, ZstdError, struct.error, ValueError, KeyError, IndexError, MemoryError) as error:
+        raise RecordingError(f"{path} is cut short or damaged; record the episode again") from error
+    return metadata, files, steps
+
+
+def _safe(name: str) -> str:
+    """The name of an attached file.
+
+    Raises:
+        ValueError: It leads elsewhere.
+    """
+    parts = PurePosixPath(name).parts
+    if name != "resolved.yaml" and (parts[:1] != ("inputs",) or ".." in parts or "\\" in name or "\0" in name or len(name) > 500):
+        raise ValueError(name)
+    if any(len(part.encode()) > 255 for part in parts):  # which most file systems refuse
+        raise ValueError(name)
+    return name
+
+
+def _episodes(path: Path, steps: Sequence[Payloads]) -> Iterator[RecordedEpisode]:
+    begun = [place for place, step in enumerate(steps) if "/episode" in step]
+    if begun[:1] != [0]:
+        raise RecordingError(f"{path} is damaged: it does not begin with an episode")
+    for first, end in zip(begun, [*begun[1:], len(steps)], strict=True):
+        with damaged(path):
+            known = msgspec.json.decode(steps[first]["/episode"])
+            seed = msgspec.convert(known["seed"], int)
+            if seed < 0:
+                raise ValueError(seed)
+            yield RecordedEpisode(msgspec.convert(known["episode"], int), seed, steps[first:end])
+
+
+@contextmanager
+def damaged(path: Path) -> Iterator[None]:
+    """Within, content that is not as it should be is told in a sentence."""
+    try:
+        yield
+    except (msgspec.MsgspecError, LookupError, TypeError, ValueError, AttributeError, OSError, OverflowError, RecursionError) as error:
+        raise RecordingError(f"{path} is damaged: a step of it cannot be read") from error
+
+
+def actions(recording: Recording, recorded: RecordedEpisode, space: Any) -> Iterator[Any]:
+    """The actions of an episode, in the action space.
+
+    Raises:
+        RecordingError: One cannot be read.
+    """
+    for step in recorded.steps[1:]:
+        with damaged(recording.path):
+            action = msgspec.json.decode(step["/step"])["action"]
+            if isinstance(space, spaces.Dict):
+                found: Any = {name: unpacked(action[name], part) for name, part in space.spaces.items()}
+            else:
+                found = unpacked(action["action"], space)
+        yield found
+
+
+def unpacked(packed: Mapping[str, Any], space: Any) -> Any:
+    dtype = np.dtype({"float32": "f4", "float64": "f8", "int64": "i8", "int32": "i4"}[packed["dtype"]])
+    array = np.frombuffer(msgspec.convert(packed["data"], bytes), dtype)
+    return array.reshape(space.shape).copy() if space.shape else array.item()
