@@ -141,13 +141,15 @@ class RemoteShards:
 
     def begin(self, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Any]:
         self._homes = [None] * len(self._worlds)
-        return self._work(None, [{} for _ in self._worlds], episodes)
+        return self._work(None, [{} for _ in self._worlds], episodes)()
 
-    def collect(self, order: Order, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]) -> list[Harvest]:
+    def collect(
+        self, order: Order, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]
+    ) -> Callable[[], list[Harvest]]:
         return self._work(order, memories, episodes)
 
     def evaluate(self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Evaluated]:
-        return self._work(order, [{} for _ in self._worlds], episodes)
+        return self._work(order, [{} for _ in self._worlds], episodes)()
 
     def close(self) -> None:
         import ray
@@ -160,8 +162,8 @@ class RemoteShards:
         order: Order | EvaluationOrder | None,
         memories: Sequence[Mapping[str, Array]],
         episodes: Sequence[Sequence[RunningEpisode]],
-    ) -> list[Any]:
-        """The answers of all shards, each on its worker. Lost workers are replaced."""
+    ) -> Callable[[], list[Any]]:
+        """Ask all shards, each on its worker. The result waits for the answers, and replaces lost workers."""
         import ray
 
         self._find_homes()
@@ -178,29 +180,35 @@ class RemoteShards:
         new, self._new = self._new, set()
         for shard in range(len(self._worlds)):
             ask(shard, anew=shard in new)
-        while waiting:
-            (ready, *_), _ = ray.wait(list(waiting))
-            shard, worker = waiting.pop(ready)
-            try:
-                answer = ray.get(ready)
-            except ray.exceptions.RayTaskError:
-                raise
-            except ray.exceptions.RayError as error:
-                unfinished = sorted([shard, *(other for other, home in waiting.values() if home == worker)])
-                waiting = {call: (other, home) for call, (other, home) in waiting.items() if home != worker}
-                losses[unfinished[0]] += 1  # a worker works on its shards in the order of their numbers
-                self._forget(worker)
-                if losses[unfinished[0]] == MAX_LOSSES:
-                    raise self._too_many_losses(unfinished[0], order, worker) from error
-                self._find_homes(balance=False)  # the other shards are at work
-                for other in unfinished:
-                    self._new.discard(other)
-                    ask(other, anew=True)
-                continue
-            if isinstance(answer, DeepbotsError):
-                raise answer
-            answers[shard] = answer
-        return [answers[shard] for shard in range(len(self._worlds))]
+
+        def wait() -> list[Any]:
+            while waiting:
+                (ready, *_), _ = ray.wait(list(waiting))
+                shard, worker = waiting.pop(ready)
+                try:
+                    answer = ray.get(ready)
+                except ray.exceptions.RayTaskError:
+                    raise
+                except ray.exceptions.RayError as error:
+                    lost = {call: other for call, (other, home) in waiting.items() if home == worker}
+                    for call in lost:
+                        del waiting[call]
+                    unfinished = sorted([shard, *lost.values()])
+                    losses[unfinished[0]] += 1  # a worker works on its shards in the order of their numbers
+                    self._forget(worker)
+                    if losses[unfinished[0]] == MAX_LOSSES:
+                        raise self._too_many_losses(unfinished[0], order, worker) from error
+                    self._find_homes(balance=False)  # the other shards are at work
+                    for other in unfinished:
+                        self._new.discard(other)
+                        ask(other, anew=True)
+                    continue
+                if isinstance(answer, DeepbotsError):
+                    raise answer
+                answers[shard] = answer
+            return [answers[shard] for shard in range(len(self._worlds))]
+
+        return wait
 
     # Workers
 

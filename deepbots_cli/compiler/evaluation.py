@@ -95,6 +95,16 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
     if spec.train.shards > spec.train.environments:
         headline = f"`shards` is {spec.train.shards}, but `environments` is only {spec.train.environments}"
         values.add("DB105", ("train", "shards"), headline, "use at most one shard for each environment")
+    if spec.train.staleness and spec.train.shards == 1:
+        values.add(
+            "DB105",
+            ("train", "staleness"),
+            "only shards may act with older weights",
+            "set `shards` to at least 2, or leave out `staleness`",
+        )
+    if spec.train.staleness and spec.train.teacher is not None:
+        headline = "with a teacher, shards cannot act with older weights"
+        values.add("DB105", ("train", "staleness"), headline, "leave out `staleness` or `teacher`")
     return Training(
         spec.train.algorithm,
         spec.train.total_timesteps,
@@ -107,6 +117,7 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
         spec.train.device,
         spec.train.shards,
         _teacher(namespace, copies),
+        spec.train.staleness,
     )
 
 

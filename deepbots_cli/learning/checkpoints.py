@@ -184,6 +184,7 @@ class Checkpoints:
     def _arrays(self) -> dict[str, Array]:
         arrays = self._learner.arrays()
         arrays |= {f"actions/{index}": np.array(episode.actions) for index, episode in enumerate(self._collector.state().episodes)}
+        arrays |= {f"stale/{name}": array for name, array in self._collector.stale.items()}
         arrays |= {"torch": torch.get_rng_state().numpy(), "numpy": np.random.get_state(legacy=False)["state"]["key"]}
         if self._learner.device == "cuda":
             arrays["cuda"] = torch.cuda.get_rng_state().numpy()
@@ -245,6 +246,9 @@ class Checkpoints:
         shape, rows = np.shape(self._collector.action_space.sample()), self._collector.rows // worlds
         team = (rows, *shape) if rows > 1 else shape
         specs |= {f"actions/{index}": ArraySpec(np.dtype(float), team, longest_episode(self.run.program)) for index in range(worlds)}
+        if state.steps and self._learner.setup.training.staleness:
+            weights = self._learner.actor().parameters()
+            specs |= {f"stale/{name}": ArraySpec.like(array) for name, array in weights.items() if isinstance(array, np.ndarray)}
         return specs | self._learner.specs(state) | {"cuda": ArraySpec(np.dtype(np.uint8), (16,), is_optional=True)}
 
     def _restore(self, state: CheckpointState, arrays: Arrays) -> None:
@@ -255,6 +259,7 @@ class Checkpoints:
         if state.digest != self.run.digest:
             self.note(f"the scenario now compiles to a different program than at {state.steps:,} steps")
         self._learner.restore(state, arrays, self._repeat_episodes(state, arrays))
+        self._collector.stale = {name.removeprefix("stale/"): array for name, array in arrays.items() if name.startswith("stale/")}
         self._log.restore(state.pending)
         version, words, gauss = state.python
         random.setstate((version, tuple(words), gauss))

@@ -252,8 +252,11 @@ class LocalShards:
     def begin(self, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Any]:
         return [shard.begin(own) for shard, own in zip(self._shards, episodes, strict=True)]
 
-    def collect(self, order: Order, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]) -> list[Harvest]:
-        return [shard.collect(order, memory) for shard, memory in zip(self._shards, memories, strict=True)]
+    def collect(
+        self, order: Order, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]
+    ) -> Callable[[], list[Harvest]]:
+        harvests = [shard.collect(order, memory) for shard, memory in zip(self._shards, memories, strict=True)]
+        return lambda: harvests
 
     def evaluate(self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Evaluated]:
         return [shard.evaluate(order) for shard in self._shards]

@@ -458,9 +458,10 @@ class Training:
     device: Literal["auto", "cpu", "cuda"] = "cpu"
     shards: int = 1
     teacher: Teacher | None = None
+    staleness: int = 0
 
     def digest_fields(self) -> dict[str, object]:
-        later = {"shards": 1, "teacher": None}
+        later = {"shards": 1, "teacher": None, "staleness": 0}
         return {name: value for name, value in vars(self).items() if name not in later or value != later[name]}
 
 

@@ -128,6 +128,8 @@ class Collector(Protocol):
     times: CollectTimes
     observation_space: gym.Space[Any]
     action_space: gym.Space[Any]
+    stale: Mapping[str, Array]
+    """The weights with which the next fragment is collected, if they are not the newest ones."""
 
     def collect(
         self, actor: Actor, steps: int, on_step: OnStep, *, with_masks: bool = False, lesson: Lesson | None = None
@@ -148,6 +150,7 @@ class LocalCollector:
         self.worlds = worlds
         self.rows, self.observation_space, self.action_space = worlds.rows, worlds.observation_space, worlds.action_space
         self.times = CollectTimes()
+        self.stale: Mapping[str, Array] = {}
         self.starts = np.ones(self.rows, bool)
         """Whether an episode begins with the observations that the agents act on next."""
 
@@ -359,8 +362,10 @@ class ShardPool(Protocol):
     def begin(self, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Any]:
         """Bring the worlds of each shard to the end of these episodes; the observations of each shard."""
 
-    def collect(self, order: Order, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]) -> list[Harvest]:
-        """The harvest of each shard, from `episodes` on, which are those after the last harvest."""
+    def collect(
+        self, order: Order, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]
+    ) -> Callable[[], list[Harvest]]:
+        """Ask for the harvest of each shard, from `episodes` on, which are those after the last harvest; the result waits for it."""
 
     def evaluate(self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Evaluated]:
         """The part of each shard in an evaluation; `episodes` are those after the last harvest, and do not change."""
@@ -411,6 +416,8 @@ class ShardedCollector:
         self.observation_space, self.action_space = agents[0].observation_space, agents[0].action_space
         self.starts = np.ones(self.rows, bool)
         self.times = CollectTimes()
+        self.stale: Mapping[str, Array] = {}
+        self._asked: Callable[[], list[Harvest]] | None = None
         self._observations: Any = None
         self._replay: Iterator[WorldsStep] = iter(())
 
@@ -435,21 +442,31 @@ class ShardedCollector:
 
     def fetch(self, actor: PolicyActor, steps: int, *, with_masks: bool = False, lesson: Lesson | None = None) -> Fragment:
         """The next `steps` of every row, which `step_all` then counts one by one."""
-        self.begin()
-        memory = {name: self._by_shard(array, self._width) for name, array in actor.memory().items()}
-        memories = [{name: parts[shard] for name, parts in memory.items()} for shard in range(len(self._sizes))]
-        begun, next_episode, stage = self._listener.present()
-        order = Order(actor.parameters(), steps, begun, next_episode, stage, with_masks, lesson)
-        asked = perf_counter()
-        harvests = self._pool.collect(order, memories, self._by_shard(self.episodes))
-        self._note_times(harvests, perf_counter() - asked)
-        actor.remember({name: np.concatenate([harvest.memory[name] for harvest in harvests]) for name in memory})
+        began = perf_counter()
+        answer = self._asked or self._ask(actor, steps, with_masks, lesson)
+        harvests, self._asked, self.stale = answer(), None, {}
+        self._note_times(harvests, perf_counter() - began)
+        actor.remember({name: np.concatenate([harvest.memory[name] for harvest in harvests]) for name in harvests[0].memory})
         for harvest in harvests:
             self._listener.on_answer(harvest)
         fragment = join([harvest.fragment for harvest in harvests])
         self._note_episodes(fragment, harvests)
         self._replay = self._steps(fragment, _details(harvests))
         return fragment
+
+    def ask_ahead(self, actor: PolicyActor, steps: int, *, with_masks: bool = False) -> None:
+        """Ask for the next fragment, which `fetch` then returns, with the present weights. Workers collect it during the next update."""
+        parameters = actor.parameters().items()
+        self.stale = {name: value.copy() for name, value in parameters if isinstance(value, np.ndarray)}
+        self._asked = self._ask(actor, steps, with_masks, None)
+
+    def _ask(self, actor: PolicyActor, steps: int, with_masks: bool, lesson: Lesson | None) -> Callable[[], list[Harvest]]:
+        self.begin()
+        memory = {name: self._by_shard(array, self._width) for name, array in actor.memory().items()}
+        memories = [{name: parts[shard] for name, parts in memory.items()} for shard in range(len(self._sizes))]
+        begun, next_episode, stage = self._listener.present()
+        order = Order({**actor.parameters(), **self.stale}, steps, begun, next_episode, stage, with_masks, lesson)
+        return self._pool.collect(order, memories, self._by_shard(self.episodes))
 
     def _note_times(self, harvests: Sequence[Harvest], seconds: float) -> None:
         busy: dict[int, float] = {}
@@ -458,7 +475,7 @@ class ShardedCollector:
         longest = max(busy.values())
         self.times.worlds += sum(harvest.seconds[1] for harvest in harvests) / len(busy)
         self.times.waiting += longest - sum(busy.values()) / len(busy)
-        self.times.transfer += seconds - longest
+        self.times.transfer += max(0.0, seconds - longest)
 
     def evaluate(self, actor: PolicyActor, episodes: int, stage: str | None) -> list[Episode]:
         """The episodes of an evaluation of the policy, in the order of their numbers."""

@@ -88,6 +88,8 @@ class Training(Section):
     """Number of environments that run at the same time."""
     shards: Annotated[int, WholeNumber(1, MAX_SHARDS)] = 1
     """Number of groups of environments, each with a copy of the policy."""
+    staleness: Annotated[int, WholeNumber(0, 1)] = 0
+    """Age of the weights with which shards collect, in updates. With 1, shards on workers collect the next steps during an update."""
     network: Annotated[PolicyNetwork, InsteadOf("policy")] = Field(default_factory=PolicyNetwork)
     """The network of the policy."""
     normalize: Literal["reward"] | None = None

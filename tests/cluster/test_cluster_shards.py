@@ -7,6 +7,7 @@ import os
 import re
 import signal
 import subprocess
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,9 @@ from typing import Any
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.cli import main
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.learning import resume, scaling, train
+from deepbots_cli.learning import resume, train
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.shards import THIS_PROCESS, Placement
@@ -45,6 +45,8 @@ CASES = {
     "A2C": ("cartpole", [*SHORT, train_section("A2C")], 320),
     "RecurrentPPO": ("cartpole", [*SHORT, train_section("RecurrentPPO", "n_steps: 32, batch_size: 32, lstm: 8")], 384),
     "MaskablePPO": ("cartpole", [*SHORT, train_section("MaskablePPO", "n_steps: 32, batch_size: 32")], 384),
+    "SAC, older weights": ("cartpole_continuous", [*SHORT, train_section("SAC", "learning_starts: 100, staleness: 1")], 320),
+    "PPO, older weights": ("cartpole", [*SHORT, "train.environments=4", "train.staleness=1"], 1_280),
     "DQN": ("cartpole", [*SHORT, train_section("DQN", "learning_starts: 100")], 320),
 }
 """Short trainings, each with ended episodes and an evaluation: the scenario, what is changed in it, and the number of steps."""
@@ -142,24 +144,12 @@ def test_an_episode_that_always_kills_its_worker_ends_the_training(cluster: Clus
         def note(self, text: str) -> None:
             super().note(text)
             if "was lost" in text:
-                os.kill(workers()[-1], signal.SIGKILL)
+                while not (left := workers()):
+                    time.sleep(0.1)
+                os.kill(left[-1], signal.SIGKILL)
 
     kill = KillEach(400, lambda: os.kill(workers()[0], signal.SIGKILL))
     with pytest.raises(RunError, match="ended its worker 3 times in the steps after"):
         trained("PPO", tmp_path / "run", cluster, progress=kill)
     resume(tmp_path / "run")
     assert outcome(tmp_path / "run") == trained("PPO", tmp_path / "here", THIS_PROCESS)
-
-
-@pytest.mark.slow
-def test_a_training_that_measures_its_shards_first_is_one_with_this_number(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(scaling, "SECONDS", 0.2)
-    monkeypatch.setattr(scaling, "MIN_GAIN", 0.0)  # so that two shards may be chosen for CartPole, which gains nothing by them
-    command = ["train", "cartpole", "--set", "train.n_steps=64", "--timesteps", "1200", "--json", "--run"]
-    assert main([*command, str(tmp_path / "auto"), "--shards", "auto", "--workers", "2"]) == 0
-    chosen = re.search(r"measured: 1 shard .* steps/s, 2 shards .* steps/s; the training has (\d) shard", capsys.readouterr().err)
-    assert chosen
-    assert main([*command, str(tmp_path / "fixed"), "--shards", chosen[1]]) == 0
-    assert outcome(tmp_path / "auto") == outcome(tmp_path / "fixed")

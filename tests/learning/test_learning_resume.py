@@ -167,6 +167,10 @@ CASES: dict[str, dict[str, Any]] = {
         "max_steps": 30,
         "more": "goal: {achieved: x, desired: 0.1 m, tolerance: 2 cm, range: -0.4 .. 0.4 m}\n",
     },
+    "older weights": {
+        "training": Training("TD3", 400, 2, hyper(**OFF_POLICY, buffer_size=500), SMALL, ActionNoise("normal", 0.2), shards=2, staleness=1),
+        "continuous": True,
+    },
     "curriculum": {
         "training": Training("PPO", 1_200, 3, hyper(n_steps=32, batch_size=32)),
         "more": "curriculum:\n"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from deepbots_cli.rollout.collector import Harvest, Order, RunningEpisode, Shard
 from deepbots_cli.rollout.worlds import Array
 from tests.few import few
 
-ALGORITHMS = [name for name in CASES if name not in ("DDPG", "TQC")]
+ALGORITHMS = [name for name in CASES if name not in ("DDPG", "TQC", "older weights")]
 
 
 class Forgetful:
@@ -31,7 +31,7 @@ class Forgetful:
         class Pool(LocalShards):
             def collect(
                 self, order: Order, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]
-            ) -> list[Harvest]:
+            ) -> Callable[[], list[Harvest]]:
                 self.close()
                 self._shards = [Shard(run, build, number, worlds) for number, worlds in enumerate(world_numbers(training))]
                 self.begin(episodes)
@@ -42,12 +42,18 @@ class Forgetful:
         return pool
 
 
-def trained(name: str, folder: Path, placement: Placement, shards: int = 2) -> dict[str, Any]:
+def trained(name: str, folder: Path, placement: Placement, shards: int = 2, staleness: int = 0) -> dict[str, Any]:
     settings = {"solved": Solved(30, mean_return=190.0)} | CASES[name]
     training: Training = settings["training"]
     total = min(training.total_timesteps, 600)
-    settings["training"] = replace(training, environments=max(3, training.environments), shards=shards, total_timesteps=total)
-    train(stand_in.compiled(**settings), run=folder, build=build_of(name), placement=placement)
+    settings["training"] = replace(
+        training, environments=max(3, training.environments), shards=shards, total_timesteps=total, staleness=staleness
+    )
+    compiled = stand_in.compiled(**settings)
+    found = compiled.program.agent.training
+    assert found is not None
+    assert (found.shards, found.staleness) == (shards, staleness)
+    train(compiled, run=folder, build=build_of(name), placement=placement)
     return outcome(folder)
 
 
@@ -56,6 +62,15 @@ def test_shards_that_are_lost_with_every_fragment_give_the_same(tmp_path: Path, 
     kept, lost = trained(name, tmp_path / "kept", THIS_PROCESS), trained(name, tmp_path / "lost", Forgetful())
     for part in kept:
         assert lost[part] == kept[part], part
+
+
+@pytest.mark.parametrize("name", few(ALGORITHMS, ["TD3"]))
+def test_with_older_weights_too(tmp_path: Path, name: str) -> None:
+    kept = trained(name, tmp_path / "kept", THIS_PROCESS, staleness=1)
+    lost = trained(name, tmp_path / "lost", Forgetful(), staleness=1)
+    for part in kept:
+        assert lost[part] == kept[part], part
+    assert kept["models"] != trained(name, tmp_path / "newest", THIS_PROCESS)["models"]
 
 
 def test_the_first_shards_have_one_world_more_if_the_sizes_differ() -> None:

@@ -159,6 +159,8 @@ class StableLearner(Learner):
                 )
                 if shards is not None:  # at the end of an episode, the library has reset the noise of the next one
                     self._actor.remember(memory)
+                    if self.setup.training.staleness:
+                        shards.ask_ahead(self._actor, model.train_freq.frequency)
                 return bool(self._rollout.continue_training)
             if self._collector is None or not self._by_fragments:
                 return bool(model.collect_rollouts(model.env, self._callback, model.rollout_buffer, n_rollout_steps=model.n_steps))
@@ -168,6 +170,8 @@ class StableLearner(Learner):
             fragment = self._collector.collect(self._actor, model.n_steps, self._on_step, with_masks=self.takes_masks, lesson=lesson)
             if fragment is None:
                 return False
+            if self.setup.training.staleness and isinstance(self._collector, ShardedCollector):
+                self._collector.ask_ahead(self._actor, model.n_steps, with_masks=self.takes_masks)
             rollouts.fill(model, fragment)
             self._taught = fragment.columns.get("taught")
         self._callback.on_rollout_end()
