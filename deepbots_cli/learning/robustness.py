@@ -297,8 +297,7 @@ def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> It
     if all(change for _, change in noisy):
         yield "observation noise", [(label, {"observation": change}) for label, change in noisy]
     if mass := _mass(root, program, mass_of):
-        name, changed = mass
-        yield f"mass of {name}", [(f"x {factor:g}", changed(factor)) for factor in MASS_FACTORS]
+        yield _mass_plan(root, mass)
     ground = "terrain" if program.world.terrain is not None else "ground"
     if program.world.terrain is not None or program.world.ground is not None:
         own = _text(root, "world", ground, "friction") or "1"
@@ -335,15 +334,15 @@ def _noise(root: MappingNode, program: Program, share: float) -> Change:
     return change
 
 
-def _mass(root: MappingNode, program: Program, name: str | None) -> tuple[str, Callable[[float], Change]] | None:
-    """What has its mass changed, a link or an object, and the change for a factor; None where nothing has a mass.
+def masses(root: MappingNode, program: Program, largest: int) -> Iterator[Plan]:
+    """The masses of the heaviest links that can move, at most `largest`, and of the objects that can move."""
+    links, objects, _ = _movable(root, program)
+    heaviest = sorted(links, key=lambda link: -links[link])[:largest]
+    yield from (_mass_plan(root, name) for name in (*heaviest, *objects))
 
-    By default it is the heaviest link of all robots, as if it carried a load. All masses by one factor would often change nothing: the
-    accelerations of a robot that follows commands of speed stay as they are. The mass of what is fixed to the world changes no motion.
 
-    Raises:
-        UsageError: Nothing of this name has a mass, or it is fixed to the world.
-    """
+def _movable(root: MappingNode, program: Program) -> tuple[dict[str, float], list[str], list[str]]:
+    """The links that can move, with their masses in kg; the objects that can; and what is fixed to the world."""
     heavy = {
         f"{body.name}.{link.name}": (link.inertial.mass, link.name in still)
         for body in program.world.robots
@@ -355,20 +354,34 @@ def _mass(root: MappingNode, program: Program, name: str | None) -> tuple[str, C
     fixed = {body.name for body in program.world.objects if body.fixed}
     written = [key for key in entries_at(root, "objects") if _text(root, "objects", key, "mass") is not None]
     objects = [key for key in written if key not in fixed]
+    return links, objects, [*(link for link in heavy if link not in links), *(key for key in written if key in fixed)]
+
+
+def _mass_plan(root: MappingNode, name: str) -> Plan:
+    path = ("objects", name) if name in entries_at(root, "objects") else ("robots", name.partition(".")[0], "links", name.partition(".")[2])
+    own = _text(root, *path, "mass") or "urdf"
+    return f"mass of {name}", [(f"x {factor:g}", _nested(path, {"mass": f"{factor:g} * ({own})"})) for factor in MASS_FACTORS]
+
+
+def _mass(root: MappingNode, program: Program, name: str | None) -> str | None:
+    """The link or object whose mass is changed; None where nothing has a mass.
+
+    By default it is the heaviest link of all robots, as if it carried a load. All masses by one factor would often change nothing: the
+    accelerations of a robot that follows commands of speed stay as they are. The mass of what is fixed to the world changes no motion.
+
+    Raises:
+        UsageError: Nothing of this name has a mass, or it is fixed to the world.
+    """
+    links, objects, fixed = _movable(root, program)
     if name is not None and name not in links and name not in objects:
         reason = (
             f"'{name}' is fixed to the world, so its mass has no effect"
-            if name in heavy or name in written
+            if name in fixed
             else f"there is no link or object '{name}' with a mass"
         )
         choices = ", ".join([*links, *objects])
         raise UsageError(f"{reason}; choose from: {choices}" if choices else reason)
-    chosen = name or max(links, key=lambda link: links[link], default=None)
-    if chosen is None:
-        return None
-    path = ("objects", chosen) if chosen in objects else ("robots", chosen.partition(".")[0], "links", chosen.partition(".")[2])
-    own = _text(root, *path, "mass") or "urdf"
-    return chosen, lambda factor: _nested(path, {"mass": f"{factor:g} * ({own})"})
+    return name or max(links, key=lambda link: links[link], default=None)
 
 
 def _nested(path: Sequence[str], value: Change) -> Change:

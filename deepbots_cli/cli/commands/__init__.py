@@ -39,6 +39,9 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "Share": {
         "render": ("render.command", "Make a picture, a video or GIF, an offline page or a recording."),
         "report": ("report.command", "Write a report about a run: one HTML file to send."),
+    },
+    "Robot": {
+        "transfer": ("transfer.command", "Check that a policy works in another engine or world."),
         "export": ("export.command", "Export the policy of a run as ONNX."),
     },
     "Develop": {

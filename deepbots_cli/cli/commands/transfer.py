@@ -1,0 +1,150 @@
+"""`deepbots transfer`: whether a policy works in another engine or scenario, and what differs there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deepbots_cli import api
+from deepbots_cli.cli import processes, records, terminal
+from deepbots_cli.cli.command import ADVANCED, MAX_SEED, ClusterAddress, Json, Workers, fraction, integer, known_engine, option
+from deepbots_cli.cli.commands.eval import Gates
+from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.cli.records import number, percent
+from deepbots_cli.cli.tables import table
+from deepbots_cli.document import Permissions
+from deepbots_cli.engine_kinds import ENGINES
+from deepbots_cli.errors import UsageError
+from deepbots_cli.learning.report import to_json
+from deepbots_cli.learning.run import Run
+from deepbots_cli.rollout.source import Source, SourceKind
+
+if TYPE_CHECKING:
+    from deepbots_cli.insight.transfer import Transfer
+
+
+def command(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Run directories, such as one trained in each engine.")],
+    engine: Annotated[
+        str | None,
+        option("--engine NAME", "The other engine; by default not that of the training.", callback=known_engine),
+    ] = None,
+    scenario: Annotated[
+        str | None, option("--scenario SCENARIO", "The other world: a scenario with the same observation, action and messages.")
+    ] = None,
+    min_success: Annotated[
+        float | None,
+        option("--min-success RATE", "Success rate required in both worlds, such as 0.8 or 80%.", parser=fraction),
+    ] = None,
+    min_return: Annotated[float | None, option("--min-return VALUE", "Mean return required in both worlds.")] = None,
+    episodes: Annotated[int, integer("--episodes N", "Episodes of each evaluation.")] = 50,
+    quick: Annotated[bool, option("--quick", "Leave out the evaluations with noise, delays, other masses and weaker motors.")] = False,
+    seed: Annotated[
+        int | None, integer("--seed N", "Root seed of the starts; by default the seed of the training.", 0, MAX_SEED, ADVANCED)
+    ] = None,
+    workers: Workers = None,
+    address: ClusterAddress = None,
+    as_json: Json = False,
+    permissions: Permissions = Permissions(),
+) -> None:
+    """Check that a policy works in another engine or world.
+
+    The policy is evaluated on the same held-out starts in the world of its training and in the other one. Then the other world repeats
+    episodes of the first one, with the same starts and actions. The table shows which numbers of the observation and which reward terms
+    differ, and from which step on. Below it are changes of the first world that explain the difference: a wrong sign, unit or order, a
+    latency, a mass, a friction or a weaker motor. At last, the policy is evaluated under changed conditions, as by `deepbots robustness`.
+
+    With --min-success or --min-return, the exit code is 1 if the policy misses it in one of the two worlds, or at the first level of one
+    of the conditions.
+
+    \b
+      deepbots transfer runs/cartpole-0-1
+      deepbots transfer runs/cartpole-0-1 runs/cartpole-mujoco-0-1 --min-success 90%
+      deepbots transfer runs/cartpole-0-1 --scenario measured.yaml --quick
+
+    Next: let episodes draw what differs, such as `mass: uniform(0.8 .. 1.2) * urdf` under `links`, and train again.
+    """
+    opened = [Run.open(Source.open(path, permissions, SourceKind.RUN).path) for path in runs]
+    for run in opened:
+        Gates(min_success, min_return, False).check(run.program)
+    with terminal.transient_line("loading the policy ..."):
+        from deepbots_cli.insight.transfer import transfer  # which imports torch
+    found = []
+    for run in opened:
+        other = engine or (run.record.engine if scenario is not None else _other_engine(run.record.engine))
+        if scenario is None and other == run.record.engine:
+            raise UsageError(f"{run.path} was trained in {other}; name the other engine with --engine, or another world with --scenario")
+        with processes.spread(workers, address) as spread, terminal.progress("worlds") as show:
+            found.append(
+                transfer(
+                    run,
+                    engine=other,
+                    scenario=None if scenario is None else api.compile(scenario, permissions=permissions),
+                    min_success=min_success,
+                    min_return=min_return,
+                    episodes=episodes,
+                    with_conditions=not quick,
+                    seed=seed,
+                    permissions=permissions,
+                    spread=spread,
+                    on_world=show,
+                )
+            )
+    terminal.show([_data(each) for each in found], *("\n".join(_lines(each)) for each in found), as_json=as_json)
+    if any(not each.passed for each in found):
+        raise typer.Exit(FAILED)
+
+
+def _other_engine(name: str) -> str:
+    return next((other for other, kind in ENGINES.own.items() if other != name and kind.is_installed), name)
+
+
+def _lines(found: Transfer) -> list[str]:
+    here, there = found.names
+    lines = [f"transfer of {found.run}: from {here} to {there}, {found.here.episodes} held-out starts from seed {found.here.seed}"]
+    worlds = ((here, found.here), (there, found.there))
+    lines.append(table([{"world": name, **records.scores(result)} for name, result in worlds]))
+    compared = found.comparison
+    size = f"{compared.episodes} episodes of up to {compared.steps} steps"
+    if compared.differences:
+        lines.append(f"\nthe same actions in both worlds ({size}): what differs, and from which step on")
+        lines.append(
+            table(
+                [
+                    {
+                        "value": each.name,
+                        "step": each.step,
+                        here: f"{number(each.here)} {each.unit}".strip(),
+                        there: f"{number(each.there)} {each.unit}".strip(),
+                        "difference": percent(each.share),
+                    }
+                    for each in compared.differences
+                ]
+            )
+        )
+        lines.append("difference: root mean square over all steps, as a share of the width that the value spans")
+    else:
+        lines.append(f"\nthe same actions give the same values in both worlds ({size})")
+    if compared.causes:
+        lines.append(f"\nchanges of {here} that explain the difference")
+        lines.append(table([{"change": cause.text, "explains": percent(cause.explained)} for cause in compared.causes[:5]]))
+    elif compared.differences:
+        lines.append("\nno change that was tried explains it")
+    if found.robustness is not None:
+        lines += ["", records.robustness_text(found.robustness)]
+    lines += [f"{'passed' if each.met else 'failed'}: {each.text}" for each in found.gates]
+    return lines
+
+
+def _data(found: Transfer) -> dict[str, Any]:
+    return {
+        "run": found.run,
+        "worlds": [{"name": name, **to_json(result)} for name, result in zip(found.names, (found.here, found.there), strict=True)],
+        "differences": [each._asdict() for each in found.comparison.differences],
+        "causes": [each._asdict() for each in found.comparison.causes],
+        "robustness": None if found.robustness is None else records.robustness_json(found.robustness),
+        "gates": [each._asdict() for each in found.gates],
+        "passed": found.passed,
+    }

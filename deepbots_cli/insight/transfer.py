@@ -1,0 +1,564 @@
+"""What differs between two worlds of a scenario, such as two engines, or a simulation and one with another mass: first, and why.
+
+The policy plays some episodes in the world of its training, and the other world repeats their starts and actions. The difference of each
+number of the observation and of each reward term then comes from the world, not from other actions. `causes` are changes of the first
+world that make it more like the second one: another order, sign, unit or age of a number, or another latency, mass, friction, strength or
+order of motors. Changes of the physics are simulated, each with the same starts and actions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from itertools import combinations, islice
+from math import inf
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from deepbots_cli import api
+from deepbots_cli.api import Compiled
+from deepbots_cli.document import Document, MappingNode, Permissions
+from deepbots_cli.document.nodes import entries_at
+from deepbots_cli.errors import DeepbotsError, EvaluationError, UsageError
+from deepbots_cli.insight.conditions import InstrumentedProgram, instrument_program
+from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
+from deepbots_cli.learning.robustness import Change, Robustness, base_document, changed_scenario, evaluate_robustness, masses, plans
+from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.learning.spread import ONE_BY_ONE, Spread
+from deepbots_cli.program import Program
+from deepbots_cli.rollout import Start, steps
+from deepbots_cli.rollout.drivers import sequence_driver
+from deepbots_cli.rollout.source import Source
+
+EPISODES, MAX_STEPS = 6, 100
+"""How many episodes are compared, and how many steps of each: small differences grow, and in the end only show that they have grown."""
+_THRESHOLD = 0.01
+"""A number differs if it is off by more than this share of the width that it spans in the first world."""
+_LATEST = 8
+"""The largest age of a number, in steps, that is tried."""
+_EXACT = 0.05
+"""A number is explained by its order, sign, unit or age if this share of the squared difference is left at most."""
+_LEAST_EXPLAINED = 0.3
+"""Share of the squared differences that a cause must explain."""
+_GROWN, _FEW = 0.1, 5
+"""A difference has grown from this share of the width on; so many moments more are counted as early ones."""
+_REFINED = 8
+"""Families of changes with many levels of which all are tried."""
+_MAX_LINKS = 12
+"""The largest number of links whose mass is changed."""
+_MAX_MOTORS = 12
+"""The largest number of motors whose order is tried."""
+_UNITS = {
+    57.29577951308232: "in degrees instead of radians",
+    0.017453292519943295: "in radians instead of degrees",
+    1000.0: "in thousandths of its unit",
+    100.0: "in hundredths of its unit",
+    0.001: "in thousands of its unit",
+    0.01: "in hundreds of its unit",
+}
+
+Array = NDArray[np.float64]
+
+
+class Difference(NamedTuple):
+    """A number of the observation, or a reward term, that differs.
+
+    Attributes:
+        name: Its name; a reward term begins with `reward.`.
+        unit: Its unit; empty for a number without one.
+        episode: The episode in which it differs first.
+        step: The first step of this episode in which it differs; 0 is the reset.
+        here: The value in the first world, in SI units.
+        there: The value in the other one.
+        share: The root mean square of its differences, as a share of the width that it spans in the first world.
+    """
+
+    name: str
+    unit: str
+    episode: int
+    step: int
+    here: float
+    there: float
+    share: float
+
+
+class Cause(NamedTuple):
+    """A change of the first world that makes it more like the other one; `explained` is the share of the squared differences that goes."""
+
+    text: str
+    explained: float
+
+
+@dataclass(frozen=True)
+class WorldComparison:
+    """`differences` in the order in which they begin, and `causes` from the one that explains most."""
+
+    episodes: int
+    steps: int
+    differences: tuple[Difference, ...]
+    causes: tuple[Cause, ...]
+
+
+class World(NamedTuple):
+    """A scenario and the engine in which it runs."""
+
+    program: Program
+    engine: str | None
+
+
+class _Recorded(NamedTuple):
+    """An episode: how it began, its actions, and its values, an array of the shape (moments, columns)."""
+
+    start: Start
+    actions: Sequence[Any]
+    values: Array
+
+
+def compare_worlds(
+    run: Run,
+    here: World,
+    there: World,
+    document: Document,
+    *,
+    seed: int,
+    model: ModelName = "best",
+    episodes: int = EPISODES,
+    permissions: Permissions = Permissions(),
+    on_world: Callable[[int, int], object] = lambda done, planned: None,
+) -> WorldComparison:
+    """Compare two worlds by the actions of a policy.
+
+    Args:
+        run: The run of the policy.
+        here: The world in which the policy acts, and which is changed to find causes.
+        there: The world that repeats its actions.
+        document: The scenario of `here`, from `robustness.base_document`.
+        seed: Root seed of the starts.
+        on_world: Called with the number of worlds that were compared, and of all.
+
+    Raises:
+        UsageError: The scenario has copies of a robot.
+    """
+    if here.program.agent.copies is not None:
+        raise UsageError(f"{here.program.name} has copies of a robot, whose worlds cannot be compared step by step")
+    columns = _columns(instrument_program(here.program, include_observation=True))
+    recorded = _recorded(run, here, model, seed, episodes, permissions)
+    found = _repeated(there, recorded, permissions)
+    comparison = _Comparison(columns, recorded, found)
+    differences = comparison.differences()
+    causes: list[Cause] = []
+    if differences:
+        causes += comparison.measured_causes()
+        families = [*_changes(here, document, recorded)]
+        done, planned = 0, sum(len(_small(family)) for family in families)
+        best: list[tuple[float, int]] = []
+        for number, family in enumerate(families):
+            found_here = []
+            for change in _small(family):
+                found_here += comparison.tried(change, permissions)
+                on_world(done := done + 1, planned)
+            causes += found_here
+            best.append((max((cause.explained for cause in found_here), default=-inf), number))
+        for _, number in sorted(best, reverse=True)[:_REFINED]:
+            for change in families[number]:
+                if change not in _small(families[number]):
+                    causes += comparison.tried(change, permissions)
+    likely = sorted((cause for cause in causes if cause.explained >= _LEAST_EXPLAINED), key=lambda cause: -cause.explained)  # stable
+    return WorldComparison(len(recorded), max(len(each.actions) for each in recorded), tuple(differences), tuple(likely))
+
+
+class _Column(NamedTuple):
+    name: str
+    unit: str
+
+
+def _columns(watch: InstrumentedProgram) -> list[_Column]:
+    kept = _kept(watch)
+    return [
+        *(_Column(each.full_name, each.unit.removeprefix("1")) for each in watch.program.agent.numbers if each.name in kept),
+        *(_Column(f"reward.{term.name}", "") for term in watch.program.agent.reward),
+    ]
+
+
+def _kept(watch: InstrumentedProgram) -> dict[str, str]:
+    """The kept value of each entry of the observation; without the previous action, which says nothing about a world."""
+    return {name: kept for name, kept in watch.observed_signals.items() if name != "previous_action"}
+
+
+class _Recorder(gym.Wrapper[Any, Any, Any, Any]):
+    """A world that notes the actions of an episode, and its values: those of the observation in SI units, and the reward terms."""
+
+    def __init__(self, world: World, permissions: Permissions) -> None:
+        self._watch = instrument_program(world.program, include_observation=True)
+        self._made = api.build(self._watch.program, engine=world.engine, permissions=permissions)
+        super().__init__(self._made)
+        self.actions: list[Any] = []
+        self._rows: list[list[float]] = []
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        self.actions, self._rows = [], []
+        try:
+            return self.env.reset(seed=seed, options=options)
+        finally:  # also where an ending is true already, such as by a wrong sensor
+            self._note()
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        outcome = self.env.step(action)
+        self.actions.append(action)
+        self._note()
+        return outcome
+
+    def _note(self) -> None:
+        values = self._watch.read(self._made)
+        terms = self._made.get_info()["reward_terms"] if self.actions else dict.fromkeys(self._terms, 0.0)
+        self._rows.append([*(number for name in _kept(self._watch).values() for number in values[name]), *terms.values()])
+
+    @property
+    def _terms(self) -> list[str]:
+        return [term.name for term in self._watch.program.agent.reward]
+
+    @property
+    def values(self) -> Array:
+        """Of shape (moments, columns)."""
+        return np.array(self._rows, float)
+
+
+def _recorded(run: Run, here: World, model: ModelName, seed: int, episodes: int, permissions: Permissions) -> list[_Recorded]:
+    from deepbots_cli.learning.evaluation import load_model
+    from deepbots_cli.learning.sb3.algorithms import torch_settings
+    from deepbots_cli.rollout.policies import PolicyDriver
+
+    found = []
+    with torch_settings(), closing(_Recorder(here, permissions)) as world:
+        driver = PolicyDriver(load_model(run, model, world), world, deterministic=True)
+        for number in range(episodes):
+            start = Start.of_evaluation(seed, number)
+            for _ in islice(steps(world, driver, start), MAX_STEPS + 1):
+                pass
+            found.append(_Recorded(start, world.actions, world.values))
+    return found
+
+
+def _repeated(
+    world: World, recorded: Sequence[_Recorded], permissions: Permissions, act: Callable[[Any], Any] = lambda action: action
+) -> list[Array]:
+    """The values of each episode with its start and actions in a world; `act` changes the actions."""
+    found = []
+    with closing(_Recorder(world, permissions)) as made:
+        for episode in recorded:
+            driver = sequence_driver([act(action) for action in episode.actions])
+            with suppress(EvaluationError):  # an ending is true at the reset
+                for _ in islice(steps(made, driver, episode.start), len(episode.actions) + 1):
+                    pass
+            found.append(made.values)
+    return found
+
+
+class _Comparison:
+    """The values of episodes in two worlds, up to the end of the shorter one of each pair."""
+
+    def __init__(self, columns: Sequence[_Column], recorded: Sequence[_Recorded], found: Sequence[Array]) -> None:
+        self._columns = columns
+        self._here = [episode.values for episode in recorded]
+        self._there = [*found]
+        together = np.vstack(self._here)
+        self._width = np.maximum(np.ptp(together, axis=0), 1e-9)
+        self._numbers = [place for place, column in enumerate(columns) if not column.name.startswith("reward.")]
+        self._base = self._errors(self._here)
+        self._early = [self._small_until(*pair) for pair in zip(self._here, self._there, strict=True)]
+
+    def _small_until(self, mine: Array, other: Array) -> int:
+        """The moments before the differences have grown, and a few more."""
+        length = min(len(mine), len(other))
+        large = (np.abs(mine[:length] - other[:length]) > _GROWN * self._width).any(axis=1)
+        return min(length, (int(np.argmax(large)) if large.any() else length) + _FEW)
+
+    def _errors(self, values: Sequence[Array], until: Sequence[int] | None = None) -> Array:
+        """The mean squared difference of each column from the other world, in squared widths; 1 at most, since errors grow without end.
+
+        `until` is the number of moments of each episode; by default all that both worlds have.
+        """
+        squares = []
+        for mine, other, usual, most in zip(values, self._there, self._here, until or [MAX_STEPS + 1] * len(self._here), strict=True):
+            length = min(len(usual), len(other), most)
+            both = min(length, len(mine))
+            squares.append(np.minimum(((mine[:both] - other[:both]) / self._width) ** 2, 1.0))
+            squares.append(np.ones((length - both, len(self._width))))  # an episode that ended too early
+        return np.asarray(np.mean(np.vstack(squares), axis=0), float)
+
+    def explained(self, values: Sequence[Array]) -> float:
+        """The share of the squared differences of the observation that another world does not have; below 0 if it has larger ones.
+
+        It is the mean of two shares: of all moments, and of those before the differences have grown. In these, the difference is nearly
+        linear in the change, so a mass that is too small shows as well as the right one.
+        """
+        shares = []
+        for until in (None, self._early):
+            base, left = (self._errors(each, until)[self._numbers].sum() for each in (self._here, values))
+            shares.append(1.0 - left / base if base else 0.0)
+        return float(np.mean(shares))
+
+    def tried(self, change: _Change, permissions: Permissions) -> list[Cause]:
+        """How much a change explains; nothing if it is none of this scenario."""
+        try:
+            return [Cause(change.text, self.explained(change.simulate(permissions)))]
+        except DeepbotsError:
+            return []
+
+    def differences(self) -> list[Difference]:
+        found = []
+        for place, column in enumerate(self._columns):
+            first: tuple[int, int] | None = None
+            for number, (mine, other) in enumerate(zip(self._here, self._there, strict=True)):
+                length = min(len(mine), len(other))
+                off = np.flatnonzero(np.abs(mine[:length, place] - other[:length, place]) > _THRESHOLD * self._width[place])
+                if len(off) and (first is None or off[0] < first[1]):
+                    first = number, int(off[0])
+            if first is not None:
+                here, there = (float(values[first[0]][first[1], place]) for values in (self._here, self._there))
+                found.append(Difference(column.name, column.unit, *first, here, there, float(np.sqrt(self._base[place]))))
+        return sorted(found, key=lambda each: (each.step, -each.share))
+
+    def measured_causes(self) -> Iterator[Cause]:
+        """Errors of measured numbers: all that are exact, together, since each explains only its own number."""
+        texts: list[str] = []
+        late: dict[int, list[str]] = {}
+        fixed = [values.copy() for values in self._here]
+        for place in self._numbers:
+            best = self._exact(place) if self._base[place] > _THRESHOLD**2 else None
+            if best is None:
+                continue
+            text, age, replaced = best
+            for values, column in zip(fixed, replaced, strict=True):
+                values[:, place] = column
+            if age:
+                late.setdefault(age, []).append(self._columns[place].name)
+            else:
+                texts.append(text)
+        texts += [
+            f"{_listed(names)} {'is' if len(names) == 1 else 'are'} {age} step{'s' if age > 1 else ''} late" for age, names in late.items()
+        ]
+        if texts:
+            yield Cause("; ".join(texts), self.explained(fixed))
+
+    def _exact(self, place: int) -> tuple[str, int, list[Array]] | None:
+        """The change of a number after which hardly a difference is left: in words, its age in steps, and the number."""
+        column, mine = self._columns[place], [values[:, place] for values in self._here]
+        pairs = [(a[: min(len(a), len(b))], b[: min(len(a), len(b)), place]) for a, b in zip(mine, self._there, strict=True)]
+        x, y = np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs])
+        tried: list[tuple[str, int, list[Array]]] = []
+        if x @ x > 0.0:
+            factor = float(x @ y / (x @ x))
+            known = next((words for value, words in _UNITS.items() if abs(factor / value - 1.0) < 0.02), None)
+            words = "has the other sign" if abs(factor + 1.0) < 0.02 else f"is {known}" if known else f"is multiplied by {factor:.3g}"
+            tried.append((f"{column.name} {words}", 0, [factor * values for values in mine]))
+            offset = float(np.mean(y - x))
+            tried.append(
+                (f"{column.name} is larger by {offset:.3g}{column.unit and ' ' + column.unit}", 0, [values + offset for values in mine])
+            )
+        for other in self._numbers:
+            if other != place and self._columns[other].unit == column.unit:
+                tried.append(
+                    (f"{column.name} has the value of {self._columns[other].name}", 0, [values[:, other] for values in self._here])
+                )
+        for age in range(1, _LATEST + 1):
+            tried.append(("", age, [np.concatenate([values[:1].repeat(age), values[:-age]])[: len(values)] for values in mine]))
+        scored = [(self._left(place, replaced), number) for number, (_, _, replaced) in enumerate(tried)]
+        left, number = min(scored, default=(inf, 0))
+        return tried[number] if left <= _EXACT * self._base[place] else None
+
+    def _left(self, place: int, replaced: Sequence[Array]) -> float:
+        squares = []
+        for mine, other in zip(replaced, self._there, strict=True):
+            length = min(len(mine), len(other))
+            squares.append(np.minimum(((mine[:length] - other[:length, place]) / self._width[place]) ** 2, 1.0))
+        return float(np.mean(np.concatenate(squares)))
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+# Changes of the first world
+
+Simulation = Callable[[Permissions], list[Array]]
+
+
+class _Change(NamedTuple):
+    """A change of the first world: in words, and what simulates it."""
+
+    text: str
+    simulate: Simulation
+
+
+def _small(family: Sequence[_Change]) -> Sequence[_Change]:
+    """The smallest changes of many, one in each direction: the right one explains something even if its amount is wrong."""
+    middle = len(family) // 2
+    return family if len(family) < 5 else family[middle - 1 : middle + 1]
+
+
+def _changes(here: World, document: Document, recorded: Sequence[_Recorded]) -> Iterator[list[_Change]]:
+    """What may be different in a world: families of changes, each by the amount of the change."""
+
+    def of(change: Change) -> Simulation:
+        def simulated(permissions: Permissions) -> list[Array]:
+            return _repeated(World(changed_scenario(document, change).program, here.engine), recorded, permissions)
+
+        return simulated
+
+    assert isinstance(document.root, MappingNode)
+    for name, levels in (
+        *(plan for plan in plans(document.root, here.program) if not plan[0].startswith("mass of")),
+        *masses(document.root, here.program, _MAX_LINKS),
+        *_latencies(document.root, here.program),
+    ):
+        if name not in ("message loss", "observation noise"):
+            yield [_Change(f"{name} {label}", of(change)) for label, change in levels]
+
+    def with_actions(act: Callable[[Any], Any]) -> Simulation:
+        return lambda permissions: _repeated(here, recorded, permissions, act)
+
+    for text, act in _actions(here.program):
+        yield [_Change(text, with_actions(act))]
+
+
+def _latencies(root: MappingNode, program: Program) -> Iterator[tuple[str, list[tuple[str, Change]]]]:
+    """Another latency of each sensor."""
+    for robot in program.robots:
+        for sensor in entries_at(root, "robots", robot.name, "sensors"):
+            delays = [1000 * program.world.timestep * count for count in (1, 2, 4)]
+            yield (
+                f"latency of the sensor {robot.name}.{sensor}",
+                [(f"{delay:g} ms", {"robots": {robot.name: {"sensors": {sensor: {"latency": f"{delay:g} ms"}}}}}) for delay in delays],
+            )
+
+
+def _actions(program: Program) -> Iterator[tuple[str, Callable[[Any], Any]]]:
+    """Actions with another sign or order: of ranges, or of the options of one choice."""
+    names, choices = program.agent.range_names, program.agent.choices
+    if len(choices) == 1 and not names:
+        options = choices[0].options
+        for one, other in combinations(range(len(options)), 2):
+            yield f"the options {options[one].name} and {options[other].name} are swapped", _swapped_options(one, other)
+    if choices or not names:
+        return
+    for place, name in enumerate(names):
+        yield f"the action {name} has the other sign", _negated(np.where(np.arange(len(names)) == place, -1.0, 1.0))
+    for one, other in combinations(range(len(names)), 2) if len(names) <= _MAX_MOTORS else ():
+        places = np.arange(len(names))
+        places[[one, other]] = other, one
+        yield f"the actions {names[one]} and {names[other]} are swapped", _ordered(places)
+
+
+def _swapped_options(one: int, other: int) -> Callable[[Any], Any]:
+    return lambda action: {one: other, other: one}.get(int(action), action)
+
+
+def _negated(signs: Array) -> Callable[[Any], Any]:
+    return lambda action: np.asarray(action * signs, action.dtype)
+
+
+def _ordered(places: Any) -> Callable[[Any], Any]:
+    return lambda action: action[places]
+
+
+# The gate
+
+
+class Gate(NamedTuple):
+    """A requirement, and whether it is met."""
+
+    text: str
+    met: bool
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """A policy in two worlds.
+
+    Attributes:
+        run: The run directory.
+        names: The names of the two worlds.
+        here: The evaluation in the world of the training.
+        there: The evaluation in the other one, with the same starts.
+        comparison: What differs between the worlds.
+        robustness: The policy under changed conditions; None if they were left out.
+        gates: The requirements; empty if no success rate is required.
+    """
+
+    run: Path
+    names: tuple[str, str]
+    here: EvaluationResult
+    there: EvaluationResult
+    comparison: WorldComparison
+    robustness: Robustness | None
+    gates: tuple[Gate, ...]
+
+    @property
+    def passed(self) -> bool:
+        return all(gate.met for gate in self.gates)
+
+
+def transfer(
+    run: Run,
+    *,
+    engine: str,
+    scenario: Compiled | None = None,
+    min_success: float | None = None,
+    min_return: float | None = None,
+    episodes: int = 50,
+    with_conditions: bool = True,
+    seed: int | None = None,
+    permissions: Permissions = Permissions(),
+    spread: Spread = ONE_BY_ONE,
+    on_world: Callable[[int, int], object] | None = None,
+) -> Transfer:
+    """Evaluate a policy in the world of its training and in another one, and compare the worlds.
+
+    Args:
+        run: The run.
+        engine: The engine of the other world.
+        scenario: The scenario of the other world; by default that of the run.
+        min_success: The success rate that the policy must reach in both worlds, and at the first level of each condition.
+        min_return: The same for the mean return.
+        episodes: Episodes of each evaluation.
+        with_conditions: Whether the policy is also evaluated under changed conditions.
+        seed: Root seed of the starts; by default that of the training.
+        spread: Where the evaluations under changed conditions run.
+        on_world: Called with the number of worlds done, and of all.
+
+    Raises:
+        RunError: The run holds no model, or does not fit the scenario.
+        UsageError: The scenario has copies of a robot.
+    """
+    base = Source.kept(run.path, permissions)
+    known = api.compile(base.checked())
+    root = run.record.seed if seed is None else seed
+    given: dict[str, Any] = {"episodes": episodes, "seed": root, "permissions": permissions}
+    here = evaluate(run, **given)
+    there = evaluate(run, scenario=scenario, engine=engine, **given)
+    program = known.program if scenario is None else scenario.program
+    worlds = World(known.program, run.record.engine), World(program, engine)
+    watch = on_world or (lambda done, planned: None)
+    comparison = compare_worlds(run, *worlds, base_document(base), seed=root, permissions=permissions, on_world=watch)
+    robustness = None
+    if with_conditions:
+        robustness = evaluate_robustness(run, min_success=min_success, min_return=min_return, on_level=on_world, spread=spread, **given)
+    names = (run.record.engine, engine) if scenario is None else (run.program.name, f"{program.name} ({engine})")
+    conditions = robustness.conditions if robustness is not None else ()
+    judged = [*zip(names, (here, there), strict=True)]
+    judged += [(f"{each.name} {each.levels[0].level}", each.levels[0].evaluation) for each in conditions if each.levels]
+    gates = []
+    for name, result in judged:
+        if min_success is not None:
+            met = result.success_rate >= min_success
+            gates.append(Gate(f"{name}: success rate {result.success_rate:.0%} of at least {min_success:.0%}", met))
+        if min_return is not None:
+            met = result.mean_return >= min_return
+            gates.append(Gate(f"{name}: mean return {result.mean_return:.4g} of at least {min_return:g}", met))
+    return Transfer(run.path, names, here, there, comparison, robustness, tuple(gates))

@@ -1,0 +1,131 @@
+"""Two worlds of a policy: what differs, the changes that explain it, and the gate."""
+
+from __future__ import annotations
+
+import json
+import re
+from functools import cache
+from typing import Any
+
+import pytest
+import yaml
+
+from deepbots_cli import api
+from deepbots_cli.cli import main
+from deepbots_cli.insight.transfer import World, WorldComparison, compare_worlds
+from deepbots_cli.learning import train
+from deepbots_cli.learning.robustness import base_document, changed_scenario
+from deepbots_cli.learning.run import Run
+from deepbots_cli.rollout.source import Source
+from tests.few import few
+
+BRIEF = "train={algorithm: PPO, total_timesteps: 128, environments: 2, n_steps: 64, batch_size: 64, network: {hidden: [16]}}"
+
+
+@pytest.fixture(scope="module")
+def run_of(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """A run of a shipped scenario whose policy has learned nothing yet: its actions move the robot."""
+
+    @cache
+    def of(name: str) -> Run:
+        folder = tmp_path_factory.mktemp("runs") / name
+        train(api.compile(name, overrides=[BRIEF, "evaluation.episodes=2"]), run=folder, seed=3)
+        return Run.open(folder)
+
+    return of
+
+
+def compared(run: Run, change: dict[str, Any], episodes: int = 6) -> WorldComparison:
+    source = Source.kept(run.path)
+    document = base_document(source)
+    here = World(api.compile(source.checked()).program, run.record.engine)
+    there = World(changed_scenario(document, change).program, run.record.engine)
+    return compare_worlds(run, here, there, document, seed=0, episodes=episodes)
+
+
+def cart(change: str) -> str:
+    return f"robots: {{cart: {{{change}}}}}"
+
+
+ERRORS = {
+    "sign of a sensor": ("cartpole", cart("emit: {pole_angle: -1 * pole_angle}"), "cart.pole_angle has the other sign"),
+    "unit of a sensor": ("cartpole", cart("emit: {pole_angle: 57.29578 * pole_angle}"), "cart.pole_angle is in degrees"),
+    "late messages from the robot": ("cartpole", "messages: {from_robot: {latency: 64 ms}}", "pole_angle is 2 steps late"),
+    "late messages to the robot": ("cartpole", "messages: {to_robot: {latency: 64 ms}}", r"latency to the robot \+64 ms"),
+    "friction": ("cartpole", "world: {ground: {friction: 0.5}}", "friction of the ground x 0.5"),
+    "mass": ("cartpole", cart("links: {body: {mass: 2 * urdf}}"), "mass of cart.body x 2"),
+    "sign of a motor": ("cartpole", cart("apply: {wheels: -1 * drive * wheel_speed}"), "forward and backward are swapped"),
+    "sign of a gyro": ("balancer", "robots: {bot: {emit: {rate: -1 * gyro.y}}}", "bot.rate has the other sign"),
+    "weak motors": (
+        "balancer",
+        "robots: {bot: {actuators: {wheels: {strength: 0.5 * uniform(0.9 .. 1.1)}}}}",
+        "motor strength x 0.5",
+    ),
+    "mass of a body": ("balancer", "robots: {bot: {links: {body: {mass: 1.5 * urdf}}}}", "mass of bot.body x 1.5"),
+    "late sensor": ("balancer", "robots: {bot: {sensors: {gyro: {latency: 20 ms}}}}", "late|latency of the sensor bot.gyro 20 ms"),
+    "order of rotors": (
+        "quadrotor",
+        "robots: {drone: {actuators: {rotors: {links: [prop_fr, prop_fl, prop_rl, prop_rr]}}}}",
+        "actions push.prop_fl and push.prop_fr are swapped",
+    ),
+    "order of axes": (
+        "quadrotor",
+        'robots: {drone: {emit: {gyro: "vector(gyro.y, gyro.x, gyro.z)", down: down}}}',
+        "drone.gyro.x has the value of drone.gyro.y; drone.gyro.y has the value of drone.gyro.x",
+    ),
+    "payload": ("quadrotor", "robots: {drone: {links: {base_link: {mass: 1.25 * urdf}}}}", "mass of drone.base_link x 1.25"),
+    "slippery ground": ("quadruped", "world: {ground: {friction: 0.5}}", "friction of the ground x 0.5"),
+    "mass of a trunk": ("quadruped", "robots: {dog: {links: {trunk: {mass: 1.5 * urdf}}}}", "mass of dog.trunk x 1.5"),
+    "late joints": (
+        "quadruped",
+        "robots: {dog: {sensors: {q: {latency: 40 ms}}}}",
+        "are 2 steps late|latency of the sensor dog.q 40 ms",
+    ),
+    "sign of three axes": ("quadruped", "robots: {dog: {emit: {gyro: -1 * gyro}}}", "dog.gyro.x has the other sign; dog.gyro.y"),
+    "sides of a sensor": (
+        "line_follower",
+        "robots: {rover: {sensors: {ground: {rays: {left: {y: -12 mm}, right: {y: 12 mm}}}}}}",
+        "rover.ground.left has the value of rover.ground.right",
+    ),
+    "sides of motors": (
+        "line_follower",
+        "robots: {rover: {apply: {left_wheel: 'clamp(gas + turn, -1 .. 1) * top_speed', "
+        "right_wheel: 'clamp(gas - turn, -1 .. 1) * top_speed'}}}",
+        "the action turn has the other sign",
+    ),
+}
+"""Twenty errors of a world: the scenario, its change, and what must be named first."""
+
+
+@pytest.mark.parametrize("error", few(list(ERRORS), ["sign of a sensor", "friction"]))
+def test_an_error_is_named_first(run_of: Any, error: str) -> None:
+    name, change, expected = ERRORS[error]
+    found = compared(run_of(name), yaml.safe_load(change))
+    assert found.differences
+    assert found.causes, found.differences
+    assert re.search(expected, found.causes[0].text), found.causes[:3]
+
+
+def test_the_same_world_differs_in_nothing(run_of: Any) -> None:
+    found = compared(run_of("cartpole"), {}, episodes=2)
+    assert (found.differences, found.causes) == ((), ())
+
+
+def test_a_difference_begins_where_the_values_part(run_of: Any) -> None:
+    found = compared(run_of("cartpole"), {"robots": {"cart": {"emit": {"pole_angle": "clamp(pole_angle, -0.05 .. 0.05 rad)"}}}})
+    (only,) = found.differences
+    assert only.name == "cart.pole_angle"
+    assert only.step > 1
+    assert abs(only.here) > 0.05 == pytest.approx(abs(only.there))
+
+
+def test_the_command_compares_engines_and_is_a_gate(run_of: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(run_of("cartpole").path)
+    assert main(["transfer", path, "--quick", "--episodes", "2", "--min-return", "1", "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)
+    assert [world["name"] for world in found["worlds"]] == ["pybullet", "mujoco"]
+    assert {each["name"] for each in found["differences"]} >= {"cart.pole_angle", "x"}
+    assert main(["transfer", path, "--quick", "--episodes", "2", "--min-return", "200"]) == 1
+    assert "failed: pybullet: mean return" in capsys.readouterr().out
+    assert main(["transfer", path, "--quick", "--engine", "pybullet"]) == 2
+    assert "was trained in pybullet; name the other engine" in capsys.readouterr().err
