@@ -27,7 +27,18 @@ from deepbots_cli.document.nodes import entries_at
 from deepbots_cli.errors import DeepbotsError, EvaluationError, UsageError
 from deepbots_cli.insight.conditions import InstrumentedProgram, instrument_program
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
-from deepbots_cli.learning.robustness import Change, Robustness, base_document, changed_scenario, evaluate_robustness, masses, plans
+from deepbots_cli.learning.robustness import (
+    MASS_FACTORS,
+    Change,
+    Plan,
+    Robustness,
+    base_document,
+    changed_scenario,
+    evaluate_robustness,
+    masses,
+    plans,
+    written,
+)
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.learning.spread import ONE_BY_ONE, Spread
 from deepbots_cli.program import Program
@@ -415,6 +426,7 @@ def _changes(here: World, document: Document, recorded: Sequence[_Recorded]) -> 
     for name, levels in (
         *(plan for plan in plans(document.root, here.program) if not plan[0].startswith("mass of")),
         *masses(document.root, here.program, _MAX_LINKS),
+        *_frictions(document.root, here.program),
         *_latencies(document.root, here.program),
     ):
         if name not in ("message loss", "observation noise"):
@@ -427,7 +439,14 @@ def _changes(here: World, document: Document, recorded: Sequence[_Recorded]) -> 
         yield [_Change(text, with_actions(act))]
 
 
-def _latencies(root: MappingNode, program: Program) -> Iterator[tuple[str, list[tuple[str, Change]]]]:
+def _frictions(root: MappingNode, program: Program) -> Iterator[Plan]:
+    """Another friction of each object that can move."""
+    for name in (body.name for body in program.world.objects if not body.fixed and body.name in entries_at(root, "objects")):
+        own = written(root, "objects", name, "friction") or "1"
+        yield f"friction of {name}", [(f"x {each:g}", {"objects": {name: {"friction": f"{each:g} * ({own})"}}}) for each in MASS_FACTORS]
+
+
+def _latencies(root: MappingNode, program: Program) -> Iterator[Plan]:
     """Another latency of each sensor."""
     for robot in program.robots:
         for sensor in entries_at(root, "robots", robot.name, "sensors"):

@@ -224,7 +224,7 @@ def base_document(base: Source, overrides: Sequence[str] = (), case: str | None 
     variants: dict[NodePath, bool] = {("evaluation", "cases", name): name == case for name in entries_at(root, "evaluation", "cases")}
     stages = node_at(root, "curriculum")
     for index, item in enumerate(stages.items if isinstance(stages, SequenceNode) else ()):
-        variants["curriculum", index] = _text(item, "name") == stage
+        variants["curriculum", index] = written(item, "name") == stage
     removed: list[NodePath] = [(TESTS,), *([("curriculum",)] if stage is None else [])]
     for path, is_chosen in variants.items():
         if is_chosen:
@@ -285,7 +285,7 @@ def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> It
         if any(robot.emitted for robot in program.robots):
             ways.append(("from_robot", "latency from the robot"))
         for way, words in ways:
-            own = _text(root, "messages", way, "latency")
+            own = written(root, "messages", way, "latency")
             delays = [1000 * program.world.timestep * steps for steps in LATENCY_STEPS]
             levels = [(f"+{delay:g} ms", f"{delay:g} ms" + (f" + {own}" if own else "")) for delay in delays]
             yield words, [(label, {"messages": {way: {"latency": latency}}}) for label, latency in levels]
@@ -300,7 +300,7 @@ def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> It
         yield _mass_plan(root, mass)
     ground = "terrain" if program.world.terrain is not None else "ground"
     if program.world.terrain is not None or program.world.ground is not None:
-        own = _text(root, "world", ground, "friction") or "1"
+        own = written(root, "world", ground, "friction") or "1"
         yield (
             "friction of the ground",
             [(f"x {factor:g}", {"world": {ground: {"friction": f"{factor:g} * ({own})"}}}) for factor in MASS_FACTORS],
@@ -309,7 +309,7 @@ def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> It
         yield "motor strength", [(f"x {factor:g}", {"robots": _strengths(root, factor)}) for factor in STRENGTH_FACTORS]
 
 
-def _text(root: Node | None, *path: str) -> str | None:
+def written(root: Node | None, *path: str) -> str | None:
     """The single value that is written at a path; None where nothing is."""
     found = node_at(root, *path)
     return found.text if isinstance(found, ScalarNode) else None
@@ -326,7 +326,7 @@ def _noise(root: MappingNode, program: Program, share: float) -> Change:
     change: Change = {}
     for name, (width, unit) in widths.items():
         noise = f"{share * width:.6g}" + (f" {unit}" if unit != "1" else "")
-        text = _text(root, "observation", name)
+        text = written(root, "observation", name)
         if text is not None:
             change[name] = {"range": text, "noise": noise}
         elif isinstance(node_at(root, "observation", name), MappingNode):
@@ -352,14 +352,14 @@ def _movable(root: MappingNode, program: Program) -> tuple[dict[str, float], lis
     }
     links = {link: mass for link, (mass, is_fixed) in heavy.items() if not is_fixed}
     fixed = {body.name for body in program.world.objects if body.fixed}
-    written = [key for key in entries_at(root, "objects") if _text(root, "objects", key, "mass") is not None]
-    objects = [key for key in written if key not in fixed]
-    return links, objects, [*(link for link in heavy if link not in links), *(key for key in written if key in fixed)]
+    weighed = [key for key in entries_at(root, "objects") if written(root, "objects", key, "mass") is not None]
+    objects = [key for key in weighed if key not in fixed]
+    return links, objects, [*(link for link in heavy if link not in links), *(key for key in weighed if key in fixed)]
 
 
 def _mass_plan(root: MappingNode, name: str) -> Plan:
     path = ("objects", name) if name in entries_at(root, "objects") else ("robots", name.partition(".")[0], "links", name.partition(".")[2])
-    own = _text(root, *path, "mass") or "urdf"
+    own = written(root, *path, "mass") or "urdf"
     return f"mass of {name}", [(f"x {factor:g}", _nested(path, {"mass": f"{factor:g} * ({own})"})) for factor in MASS_FACTORS]
 
 
@@ -393,7 +393,7 @@ def _strengths(root: MappingNode, factor: float) -> Change:
     return {
         robot: {
             "actuators": {
-                name: {"strength": f"{factor:g} * ({_text(root, 'robots', robot, 'actuators', name, 'strength') or '1'})"}
+                name: {"strength": f"{factor:g} * ({written(root, 'robots', robot, 'actuators', name, 'strength') or '1'})"}
                 for name in entries_at(root, "robots", robot, "actuators")
             }
         }

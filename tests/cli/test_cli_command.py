@@ -103,7 +103,9 @@ def test_the_overview_lists_every_verb(deepbots):
     assert all(verb in shown.out and summary in shown.out for verb, (_, summary) in COMMANDS.items())
 
 
-@pytest.mark.parametrize(("line", "expected"), [("deepbots tr", ["try", "train", "transfer"]), ("deepbots train --se", ["--set", "--seed", "--seeds"])])
+@pytest.mark.parametrize(
+    ("line", "expected"), [("deepbots tr", ["try", "train", "transfer"]), ("deepbots train --se", ["--set", "--seed", "--seeds"])]
+)
 def test_a_shell_completes_commands_and_options(deepbots, monkeypatch, line, expected):
     words = line.split()
     for name, value in {"_DEEPBOTS_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)}.items():
