@@ -150,7 +150,7 @@ def time_of(stamp: float) -> idl.Time:
 
 def stamp_of(message: Any) -> float | None:
     """The time of a message in s; None where it has no header, or an empty stamp."""
-    header = getattr(message, "header", None)
+    header = message if isinstance(message, idl.Header) else getattr(message, "header", None)
     if header is None or (header.stamp.sec == 0 and header.stamp.nanosec == 0):
         return None
     return float(header.stamp.sec + header.stamp.nanosec * 1e-9)
