@@ -57,7 +57,8 @@ class LogWriter:
         self._writer.add_metadata("deepbots_robot", dict(about))
         self._steps = self._channel("/step", _STEP)
         self._events = self._channel("/event", _EVENT)
-        self._clock, self._flushed, self._recent = clock, -np.inf, {}
+        self._clock, self._flushed = clock, -np.inf
+        self._recent: dict[str, int] = {}
         self._flush()
 
     def _channel(self, topic: str, schema: Mapping[str, Any]) -> int:
@@ -89,7 +90,7 @@ class LogWriter:
     def close(self) -> None:
         """Write the end of the file."""
         if not self._file.closed:
-            self._writer.finish()
+            self._writer.finish()  # type: ignore[no-untyped-call]
             self._file.close()
 
 

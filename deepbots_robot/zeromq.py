@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Annotated, Any
 
 import msgspec
@@ -19,7 +20,7 @@ import numpy as np
 import zmq
 from msgspec import Meta
 
-from deepbots_robot.link import MAX_BYTES, Arrival, Array
+from deepbots_robot.link import MAX_BYTES, Array, Arrival
 from deepbots_robot.topics import MAX_NUMBERS, Field
 
 ADDRESS = r"tcp://[A-Za-z0-9_.*:\[\]-]{1,255}:[0-9]{1,5}|ipc://[^\x00]{1,100}"
@@ -87,7 +88,7 @@ class ZmqLink:
         for field in sends:
             self._robots.setdefault(field.robot or SUPERVISOR, []).append(field.name)
         self._robot, self._packed, self._peer = robot, False, b""
-        self._socket = zmq.Context.instance().socket(zmq.DEALER if robot else zmq.ROUTER)
+        self._socket: Any = zmq.Context.instance().socket(zmq.DEALER if robot else zmq.ROUTER)
         self._socket.setsockopt(zmq.LINGER, 100)
         self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)
         try:
@@ -125,10 +126,8 @@ class ZmqLink:
         self._write(write(next(iter(self._robots), SUPERVISOR), {}, stamp, packed=self._packed, reset=number))
 
     def _write(self, content: bytes) -> None:
-        try:
+        with suppress(zmq.ZMQError):  # nobody is there, or does not read
             self._socket.send_multipart([content] if self._robot else [self._peer, content], zmq.NOBLOCK)
-        except zmq.ZMQError:  # nobody is there, or does not read
-            pass
 
     def connected(self) -> bool:
         return bool(self._socket.poll(0, zmq.POLLOUT)) if self._robot else bool(self._peer)
