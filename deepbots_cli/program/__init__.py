@@ -25,7 +25,7 @@ a program as canonical JSON, whose digest identifies the scenario.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -39,6 +39,7 @@ from deepbots_cli.program.robots import Robot, Timing
 from deepbots_cli.program.task import Agent, Choices, Criterion, Evaluation, ScenarioTest, Script, Truncation
 from deepbots_cli.program.values import Expression, Foreign, NamedScalars
 from deepbots_cli.program.world import WorldModel
+from deepbots_robot.topics import Topic
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +55,8 @@ class Program:
     There is one agent, `agent`. `engine` is the engine
     that the scenario names, None for the default. `stored_signals` names the signals that the supervisor stores after each step, as
     `last_NAME`; only programs of `insight`, which explains episodes, have some. The compiler returns no `tests`: `deepbots test` adds
-    those whose conditions the generated code computes.
+    those whose conditions the generated code computes. `ros` has the topics of sensors, commands and readings of the world that the
+    scenario names, by the names of these fields.
     """
 
     name: str
@@ -78,9 +80,10 @@ class Program:
     engine: str | None = None
     stored_signals: frozenset[str] = frozenset()
     tests: tuple[ScenarioTest, ...] = ()
+    ros: Mapping[str, Topic] = field(default_factory=dict)
 
     def digest_fields(self) -> dict[str, object]:
-        left_out = {"stored_signals", "tests"} | ({"engine"} if self.engine in (None, DEFAULT_ENGINE) else set())
+        left_out = {"stored_signals", "tests", "ros"} | ({"engine"} if self.engine in (None, DEFAULT_ENGINE) else set())
         return {name: value for name, value in vars(self).items() if name in self.__dataclass_fields__ and name not in left_out}
 
     @cached_property
