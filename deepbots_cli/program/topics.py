@@ -12,12 +12,12 @@ _UNITS = {"velocity_motor": ("rad/s", "m/s"), "position_motor": ("rad", "m"), "t
 
 
 def sensor_fields(program: Program) -> list[Field]:
-    """The sensors of all robots that commands of the agent move."""
+    """The sensors of the robots that the agent moves."""
     return [sensor_field(robot, sensor) for robot in _robots(program) for sensor in robot.sensors]
 
 
 def command_fields(program: Program) -> list[Field]:
-    """The actuators that have a command, in the order of robots and commands."""
+    """The actuators of the robots that the agent moves, in the order of their commands; those without a command are left out."""
     return [command_field(program, robot, entry.actuator) for robot in _robots(program) for entry in robot.commands]
 
 
@@ -55,12 +55,9 @@ def command_field(program: Program, robot: Robot, actuator: Actuator) -> Field:
     return Field(f"{robot.name}.{actuator.name}", robot.name, kind, unit, (len(actuator.components),), joints, actuator.components)
 
 
-def topics_of(program: Program, fields: list[Field], *, commands: bool = False) -> dict[str, Topic]:
-    """The topic of each field: as the scenario says under `ros`, else that of the first mapping."""
-    return {
-        **first_mapping(fields, commands=commands),
-        **{name: topic for name, topic in program.ros.items() if name in {f.name for f in fields}},
-    }
+def mapping(program: Program) -> dict[str, Topic]:
+    """The topic of each sensor and of each command: as the scenario says under `ros`, else a first one."""
+    return {**first_mapping(sensor_fields(program)), **first_mapping(command_fields(program), commands=True), **program.ros}
 
 
 def _robots(program: Program) -> Iterator[Robot]:
