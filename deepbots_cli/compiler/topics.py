@@ -27,7 +27,7 @@ def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
         try:
             part_of(field, topic)
         except ValueError as error:
-            help = "choose another type, or another `part`; `deepbots explain ros` lists the types"
+            help = "choose another type, or another `part`; `deepbots inspect SCENARIO --ros` prints types that fit"
             values.add("DB321", ("ros", name, "type" if given.part is None else "part"), str(error), help)
         else:
             found[name] = (field, topic)
@@ -40,7 +40,7 @@ def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
     for name in found:
         topic = found[name][1].name
         if topic in measured & commanded:
-            values.add_at_key("DB321", ("ros", name), f"{topic} carries sensors and commands", "use topics of their own for commands")
+            values.add_at_key("DB321", ("ros", name), f"the topic {topic} carries sensors and commands", "use topics of their own for commands")
         elif name in problems:
             values.add_at_key("DB321", ("ros", name), problems[name], "use another topic")
     return {name: topic for name, (_, topic) in found.items()}
