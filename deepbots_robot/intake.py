@@ -149,8 +149,12 @@ class Intake:
     def stale(self, now: float) -> list[str]:
         """The inputs without a value that is young enough."""
         if self._speed is None:
-            return [name for name, state in self._states.items() if state.value is None]
+            return self.missing()
         return [name for name, each in self.inputs.items() if (now - self._states[name].received) * self._speed > each.max_age]
+
+    def missing(self) -> list[str]:
+        """The inputs that never had a value."""
+        return [name for name, state in self._states.items() if state.value is None]
 
     def deadline(self) -> float:
         """When the first input will be too old."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import io
 import json
+import struct
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -110,6 +111,6 @@ def read_log(path: Path) -> Iterator[tuple[str, float, dict[str, Any]]]:
                 topics[found.id] = found.topic
             elif isinstance(found, records.Message):
                 yield topics[found.channel_id], found.log_time / _NS, json.loads(found.data)
-    except (McapError, EOFError, KeyError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (McapError, struct.error, EOFError, KeyError, ValueError) as error:
         if not topics:
             raise ValueError(f"{path} is not a log of a robot") from error

@@ -199,7 +199,8 @@ def first_mapping(fields: Sequence[Field], *, commands: bool = False) -> dict[st
     taken: set[tuple[str, str, str]] = set()
     for field in fields:
         short = field.name.removeprefix(f"{field.robot}.")
-        own = f"/{field.robot}/{short}" if field.robot else f"/supervisor/{short}"
+        measured = field.robot and short != field.name
+        own = f"/{field.robot}/{short}" if measured else f"/supervisor/{re.sub('[^A-Za-z0-9]+', '_', short).strip('_')}"
         for topic in _candidates(field, f"{own}/command" if commands else own, commands):
             try:
                 part = part_of(field, topic)
