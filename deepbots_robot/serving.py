@@ -92,6 +92,11 @@ def inputs_of(info: model.BundleInfo) -> list[Input]:
 
 def outputs_of(info: model.BundleInfo) -> list[Output]:
     """The outputs with the limits that commands are kept in."""
+    return outputs_of_entries(info.outputs)
+
+
+def outputs_of_entries(entries: Sequence[model.Output]) -> list[Output]:
+    """As `outputs_of`."""
     return [
         Output(
             field_of(entry),
@@ -99,7 +104,7 @@ def outputs_of(info: model.BundleInfo) -> list[Output]:
             max_rate=_filled(entry.max_rate, entry.shape, np.inf),
             safe=_filled(entry.safe, entry.shape, np.nan),
         )
-        for entry in info.outputs
+        for entry in entries
     ]
 
 

@@ -34,13 +34,12 @@ def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
     first = mapping(replace(program, ros={}))
     every = {name: (field, first[name]) for name, field in fields.items() if name in first and name not in spec.ros} | found
     problems = conflicts(every)
-    measured, commanded = (
-        {topic.name for name, (_, topic) in every.items() if (name in sensors) == of_sensors} for of_sensors in (True, False)
-    )
-    for name in found:
-        topic = found[name][1].name
-        if topic in measured & commanded:
-            values.add_at_key("DB321", ("ros", name), f"the topic {topic} carries sensors and commands", "use topics of their own for commands")
+    measured = {topic.name for name, (_, topic) in every.items() if name in sensors}
+    commanded = {topic.name for name, (_, topic) in every.items() if name not in sensors}
+    for name, (_, given_topic) in found.items():
+        if given_topic.name in measured & commanded:
+            headline = f"the topic {given_topic.name} carries sensors and commands"
+            values.add_at_key("DB321", ("ros", name), headline, "use topics of their own for commands")
         elif name in problems:
             values.add_at_key("DB321", ("ros", name), problems[name], "use another topic")
     return {name: topic for name, (_, topic) in found.items()}
