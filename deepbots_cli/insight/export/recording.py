@@ -65,7 +65,10 @@ def recorded_steps(
 
 
 def _with_probes(program: Program, readings: Sequence[Reading]) -> Program:
-    """The program whose supervisor stores the readings of the world. Rewards and endings that Python computes are left out."""
+    """The program whose supervisor stores the readings of the world. What a bundle leaves out is left out: noise that the supervisor adds.
+
+    Rewards and endings that Python computes are not needed.
+    """
     probes = []
     for number, reading in enumerate(readings):
         if reading.device is None:
@@ -76,10 +79,18 @@ def _with_probes(program: Program, readings: Sequence[Reading]) -> Program:
             probe = Expression(f"{_PREFIX}{number}", place.span, reading.info.name, typed, f"signals.{_PREFIX}{number}")
             vars(probe)["scalars"] = reading.trees  # what a lowered expression keeps there
             probes.append(probe)
-    names = frozenset(probe.name for probe in probes)
-    program = program.with_agents(reward=tuple(term for term in program.agent.reward if term.foreign is None))
-    program = replace(program, endings=tuple(ending for ending in program.endings if ending.foreign is None))
-    return replace(program, signals=(*program.signals, *probes), stored_signals=program.stored_signals | names)
+    agent, signals = program.agent, [replace(signal, noise=None) for signal in program.signals]
+    program = program.with_agents(
+        observation=tuple(replace(entry, noise=None) for entry in agent.observation),
+        goal=agent.goal and replace(agent.goal, achieved=replace(agent.goal.achieved, noise=None)),
+        reward=tuple(term for term in agent.reward if term.foreign is None),
+    )
+    return replace(
+        program,
+        endings=tuple(ending for ending in program.endings if ending.foreign is None),
+        signals=(*signals, *probes),
+        stored_signals=program.stored_signals | {probe.name for probe in probes},
+    )
 
 
 class _Watch:
