@@ -238,7 +238,7 @@ class BundleInfo(Record, frozen=True):
     action: Annotated[tuple[ActionPart, ...], Meta(min_length=1, max_length=MAX_FIELDS)]
     files: dict[Name, Digest]
     evaluation: Evaluation | None
-    ros: dict[Name, RosTopic]
+    ros: dict[Name, RosTopic] = {}
 
     @property
     def choices(self) -> tuple[int, ...]:

@@ -49,7 +49,7 @@ def recorded_steps(
     Args:
         make_driver: Returns who acts, for the environment.
     """
-    with closing(api.build(with_probes(program, readings), engine=engine)) as world:
+    with closing(api.build(with_probes(_as_exported(program), readings), engine=engine)) as world:
         agent = next(iter(world.agents.values()))
         watch = Watch(agent, readings, outputs)
         driver = make_driver(world)
@@ -65,7 +65,7 @@ def recorded_steps(
 
 
 def with_probes(program: Program, readings: Sequence[Reading]) -> Program:
-    """The program whose supervisor stores the readings of the world. Rewards and endings that Python computes are left out."""
+    """The program whose supervisor stores the readings of the world."""
     probes = []
     for number, reading in enumerate(readings):
         if reading.device is None:
@@ -76,10 +76,20 @@ def with_probes(program: Program, readings: Sequence[Reading]) -> Program:
             probe = Expression(f"{_PREFIX}{number}", place.span, reading.info.name, typed, f"signals.{_PREFIX}{number}")
             vars(probe)["scalars"] = reading.trees  # what a lowered expression keeps there
             probes.append(probe)
-    names = frozenset(probe.name for probe in probes)
-    program = program.with_agents(reward=tuple(term for term in program.agent.reward if term.foreign is None))
-    program = replace(program, endings=tuple(ending for ending in program.endings if ending.foreign is None))
-    return replace(program, signals=(*program.signals, *probes), stored_signals=program.stored_signals | names)
+    stored = program.stored_signals | {probe.name for probe in probes}
+    return replace(program, signals=(*program.signals, *probes), stored_signals=stored)
+
+
+def _as_exported(program: Program) -> Program:
+    """The program without what a bundle leaves out: noise that the supervisor adds. Rewards and endings of Python are not needed."""
+    agent = program.agent
+    program = program.with_agents(
+        observation=tuple(replace(entry, noise=None) for entry in agent.observation),
+        goal=agent.goal and replace(agent.goal, achieved=replace(agent.goal.achieved, noise=None)),
+        reward=tuple(term for term in agent.reward if term.foreign is None),
+    )
+    signals = tuple(replace(signal, noise=None) for signal in program.signals)
+    return replace(program, endings=tuple(ending for ending in program.endings if ending.foreign is None), signals=signals)
 
 
 class Watch:
