@@ -33,6 +33,9 @@ COMMANDS = Qos(Policy.Reliability.Reliable(duration(milliseconds=100)), Policy.H
 """The default profile of ROS 2, for commands and resets."""
 _TAKEN = 256
 
+_DOMAINS: dict[int, tuple[str, Any]] = {}
+"""The domains of this process with their networks; a process has one of each number, which two ends in it share."""
+
 Mapped = Sequence[tuple[Field, Topic]]
 
 
@@ -55,7 +58,10 @@ class RosLink:
         self.name = f"ROS 2 on {interface or 'the loopback interface'}, domain {domain}"
         network = _LOOPBACK if interface is None else f'<General><Interfaces><NetworkInterface name="{interface}"/></Interfaces></General>'
         try:
-            self._domain = Domain(domain, f"<CycloneDDS><Domain>{network}</Domain></CycloneDDS>")
+            if domain not in _DOMAINS:
+                _DOMAINS[domain] = network, Domain(domain, f"<CycloneDDS><Domain>{network}</Domain></CycloneDDS>")
+            if _DOMAINS[domain][0] != network:
+                raise ValueError(f"the domain {domain} is already open on another network interface")
             self._participant = DomainParticipant(domain)
         except DDSException as error:
             raise ValueError(f"{self.name} cannot be opened: {error}") from None
@@ -107,7 +113,7 @@ class RosLink:
         self._conditions.clear()
         self._readers.clear()
         self._writers.clear()
-        del self._waiting, self._participant, self._domain
+        del self._waiting, self._participant
 
 
 def _by_topic(mapped: Mapped) -> dict[str, Codec]:

@@ -21,7 +21,7 @@ from deepbots_cli import api
 from deepbots_cli.codegen.robot import sampled_sensors
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
-from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, walk
+from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, walk
 from deepbots_cli.insight.export.actuators import output
 from deepbots_cli.insight.export.readings import Reading, Readings
 from deepbots_cli.insight.export.recording import Watch, with_probes
@@ -90,6 +90,7 @@ class _Collector:
         self._parameters = {value.name: value for value in program.parameters}
         self._fields = {f"{robot.name}.{entry.name}": (robot, entry) for robot in program.robots for entry in robot.emitted}
         self._followed: set[str] = set()
+        self._robots = program.robots
 
     def add(self, reading: Reading) -> None:
         self.readings.setdefault(reading.info.name, reading)
@@ -118,13 +119,20 @@ class _Collector:
                 self.add(self.describe.sensor(robot, sensors[leaf.name]))
 
     def _of_world(self, leaf: EngineRead) -> None:
-        if leaf.function in ("age", "message_received"):  # a link has its own
-            return
-        if leaf in self.describe.direct:
+        if leaf.function in ("age", "message_received"):
+            self.add(replace(self.describe.of_world(leaf)[0], trees=(self._of_channel(leaf),)))
+        elif leaf in self.describe.direct:
             robot, sensor, _ = self.describe.direct[leaf]
             self.add(self.describe.sensor(robot, sensor))
         else:
             self.add(self.describe.of_world(leaf)[0])
+
+
+    def _of_channel(self, leaf: EngineRead) -> Scalar:
+        """The age of a sensor, as its robot sends it; what is sent is new in every step."""
+        robot, _, sensor = leaf.subjects[0].partition(".")
+        fields = {f"{each.name}.{name}": f"{each.name}.{field}" for each in self._robots for name, field in each.ages}
+        return Name(fields[f"{robot}.{sensor}"]) if sensor else Const(leaf.function == "message_received")
 
 
 def _leaves(trees: Sequence[Scalar]) -> Iterator[Name | EngineRead]:
