@@ -62,18 +62,17 @@ class Log(Protocol):
 
 
 class Commands:
-    """Keeps commands finite, within their limits, and no faster than the actuator may change."""
+    """Keeps commands finite, within their limits, and no faster than actuators may change."""
 
     def __init__(self, outputs: Sequence[Output]) -> None:
         self._outputs = outputs
         self._last: dict[str, Array] = {}
-        self._at = -np.inf
         self.limited = 0
 
-    def limit(self, commands: Mapping[str, Array], now: float) -> dict[str, Array] | None:
-        """The commands that may be sent at `now` (monotonic, s); None if one is missing, of another shape, or not finite."""
+    def limit(self, commands: Mapping[str, Array], elapsed: float) -> dict[str, Array] | None:
+        """The commands that may be sent `elapsed` s after the last ones; None if one is missing, of another shape, or not finite."""
         found: dict[str, Array] = {}
-        elapsed, changed = now - self._at, False
+        changed = False
         for output in self._outputs:
             command = commands.get(output.field.name)
             if command is None or np.shape(command) != output.field.shape or not np.isfinite(command).all():
@@ -86,11 +85,11 @@ class Commands:
                 value = np.clip(value, last - reach, last + reach)
             changed |= bool((value != wanted).any())
             found[output.field.name] = value
-        self._last, self._at = found, now
+        self._last = found
         self.limited += changed
         return found
 
-    def safe(self, now: float) -> dict[str, Array]:
+    def safe(self) -> dict[str, Array]:
         """The safe posture: what a component cannot say holds its last command, or is left out if there was none."""
         found = {}
         for output in self._outputs:
@@ -99,7 +98,7 @@ class Commands:
             value = np.where(np.isnan(output.safe), held, output.safe)
             if np.isfinite(value).all():
                 found[output.field.name] = value
-        self._last, self._at = {**self._last, **found}, now
+        self._last = {**self._last, **found}
         return found
 
 
@@ -130,10 +129,12 @@ class Server:
         self.steps = self.safe_steps = self.held_steps = self.episodes = 0
         self.faults: dict[str, int] = {}
         self._policy, self._lockstep, self._log, self._clock = policy, lockstep, log, clock
-        self._period = 1.0 / (rate * speed)
+        self._speed, self._step_time = speed, 1.0 / rate
+        self._period = self._step_time / speed
         self._due = -np.inf
         self._fault = ""  # why the robot is in the safe posture
         self._last_sent: Mapping[str, Array] = {}
+        self._sent_at = clock()
 
     def run(self, stopped: Callable[[], bool] = lambda: False) -> None:
         """Serve until `stopped`; the safe posture is the last command."""
@@ -203,7 +204,8 @@ class Server:
             self._send_safe(f"the policy fails: {' '.join(str(error).split())[:120]}")
             return
         now = self._clock()
-        commands = self.commands.limit(found, now)
+        passed = 0.0 if self._lockstep else (now - self._sent_at) * self._speed
+        commands = self.commands.limit(found, max(passed, self._step_time))
         if commands is None:
             self._send_safe("the policy computes a command that is not finite")
             return
@@ -220,7 +222,7 @@ class Server:
 
     def _send_safe(self, reason: str) -> None:
         now = self._clock()
-        commands = self.commands.safe(now)
+        commands = self.commands.safe()
         if reason != self._fault:
             self._event("safe", reason)
             self.faults[reason.partition(":")[0][:60]] = self.faults.get(reason.partition(":")[0][:60], 0) + 1
@@ -232,7 +234,7 @@ class Server:
             self._log.step(self._stamp(), {}, commands, 0.0, "safe")
 
     def _send(self, commands: Mapping[str, Array]) -> None:
-        self._last_sent = commands
+        self._last_sent, self._sent_at = commands, self._clock()
         if commands:
             self.link.send(commands, self._stamp())
 
