@@ -14,6 +14,7 @@ import json
 import struct
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ FLUSH = 0.5
 MAX_EVENTS = 20
 """Events of one kind in a second; further ones are counted in the report alone."""
 MAX_READ = 1 << 28
+_MAGIC = b"\x89MCAP0\r\n"
 _NS = 1_000_000_000
 _STEP = {
     "type": "object",
@@ -104,13 +106,12 @@ def read_log(path: Path) -> Iterator[tuple[str, float, dict[str, Any]]]:
     """
     with path.open("rb") as file:
         content = file.read(MAX_READ)
+    if not content.startswith(_MAGIC[: len(content)]):
+        raise ValueError(f"{path} is not a log of a robot")
     topics: dict[int, str] = {}
-    try:
+    with suppress(McapError, struct.error, EOFError, KeyError, ValueError):  # the end of a process that was killed
         for found in StreamReader(io.BytesIO(content), record_size_limit=1 << 24).records:
             if isinstance(found, records.Channel):
                 topics[found.id] = found.topic
             elif isinstance(found, records.Message):
                 yield topics[found.channel_id], found.log_time / _NS, json.loads(found.data)
-    except (McapError, struct.error, EOFError, KeyError, ValueError) as error:
-        if not topics:
-            raise ValueError(f"{path} is not a log of a robot") from error
