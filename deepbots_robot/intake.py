@@ -28,11 +28,11 @@ class Refusal(NamedTuple):
 
     @property
     def is_harmless(self) -> bool:
-        """Whether the transport can cause it. The server answers all other refusals with the safe posture."""
-        return self.kind in (TWICE, LATE_ORDER)
+        """Whether a network can cause it: such a message is ignored. The server answers all other refusals with the safe posture."""
+        return self.kind in (TWICE, ORDER, LATE)
 
 
-TWICE, LATE_ORDER = "twice", "out of order"
+TWICE, ORDER, LATE = "twice", "out of order", "late"
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class Intake:
         if not np.isfinite(stamp):
             return Refusal("clock", "its time is not finite")
         if 0.0 < self._begun - stamp <= MAX_JUMP:
-            return Refusal(LATE_ORDER, "it was sent before the episode began")
+            return Refusal(ORDER, "it was sent before the episode began")
         for name in arrival.fields:
             refusal = self._late(self._states[name], self.inputs[name], stamp, now)
             if refusal is not None:
@@ -123,26 +123,29 @@ class Intake:
         return None
 
     def _late(self, state: _State, known: Input, stamp: float, now: float) -> Refusal | None:
-        """What is wrong with the time of a message."""
-        silent, name = now - state.received, known.field.name
-        if state.stamp is not None:
-            ahead = stamp - state.stamp
-            if ahead == 0.0:
-                return Refusal(TWICE, f"{name} came twice")
-            if self._speed is not None and silent > RESTART:
-                state.offset = np.inf
-            elif ahead < 0.0:
-                if -ahead <= MAX_JUMP:
-                    return Refusal(LATE_ORDER, f"{name} came after a newer value")
-                return Refusal("clock", f"the clock of {name} jumped back by {-ahead:.3g} s")
-            elif self._speed is not None and ahead > silent * self._speed + MAX_JUMP:
-                return Refusal("clock", f"the clock of {name} jumped ahead by {ahead:.3g} s")
+        """What is wrong with the time of a message.
+
+        The clock of the robot may be any. The smallest difference between it and the clock here, at the arrival of a message, stands for
+        a message without delay.
+        """
+        name = known.field.name
+        if self._speed is not None and now - state.received > RESTART:
+            state.offset = np.inf
+        elif state.stamp is not None and stamp <= state.stamp:
+            back = state.stamp - stamp
+            if back > MAX_JUMP:
+                return Refusal("clock", f"the clock of {name} jumped back by {back:.3g} s")
+            return Refusal(ORDER, f"{name} came after a newer value") if back else Refusal(TWICE, f"{name} came twice")
         if self._speed is None:
             return None
         offset = now * self._speed - stamp
+        delay = offset - state.offset
+        if np.isfinite(delay) and delay < -MAX_JUMP:
+            return Refusal("clock", f"the clock of {name} jumped ahead by {-delay:.3g} s")
+        if delay > known.max_age:
+            return Refusal(LATE, f"{name} came {delay:.3g} s late")
         state.offset = min(state.offset, offset)
-        late = offset - state.offset
-        return Refusal("late", f"{name} came {late:.3g} s late") if late > known.max_age else None
+        return None
 
     # What the server asks
 

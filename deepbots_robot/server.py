@@ -8,6 +8,7 @@ and after a message that is wrong.
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from deepbots_robot.intake import Input, Intake
+from deepbots_robot.intake import Input, Intake, Refusal
 from deepbots_robot.link import Array, Link
 from deepbots_robot.topics import Field
 
@@ -127,12 +128,13 @@ class Server:
         self.link = link
         self.answers: list[float] = []
         self.steps = self.safe_steps = self.held_steps = self.episodes = 0
-        self.faults: dict[str, int] = {}
+        self.faults: Counter[str] = Counter()
+        """How often the robot went into the safe posture, by kind of reason."""
         self._policy, self._lockstep, self._log, self._clock = policy, lockstep, log, clock
         self._speed, self._step_time = speed, 1.0 / rate
         self._period = self._step_time / speed
         self._due = -np.inf
-        self._fault = ""  # why the robot is in the safe posture
+        self._fault = ""  # the kind of reason why the robot is in the safe posture
         self._last_sent: Mapping[str, Array] = {}
         self._sent_at = clock()
 
@@ -145,7 +147,7 @@ class Server:
         finally:
             if self.steps:
                 with suppress(OSError):
-                    self._send_safe("the server ends")
+                    self._send_safe("end", "the server ends")
 
     def _patience(self) -> float:
         """How long nothing has to be done, in s."""
@@ -156,7 +158,8 @@ class Server:
 
     def turn(self) -> None:
         """Take what has arrived, and act if it is time."""
-        wrong, again = "", False
+        wrong: Refusal | None = None
+        again = False
         for arrival in self.link.take():
             now = self._clock()
             if arrival.kind == "reset" and not arrival.problem:
@@ -164,23 +167,23 @@ class Server:
                 continue
             refusal = self.intake.take(arrival, now)
             if refusal is not None and not refusal.is_harmless:
-                wrong = f"{arrival.source}: {refusal.text}"
-                self._event("refused", wrong)
+                wrong = refusal
+                self._event("refused", f"{arrival.source}: {refusal.text}")
             again |= refusal is not None and refusal.is_harmless
         now = self._clock()
         if self._lockstep:
             self._answer(wrong, again)
-        elif wrong and (not self._fault or now >= self._due - EARLY * self._period):
-            self._send_safe(wrong)
+        elif wrong is not None and (not self._fault or now >= self._due - EARLY * self._period):
+            self._send_safe(wrong.kind, wrong.text)
         elif np.isfinite(self._due) or self.intake.complete():
             self._keep_time(now)
 
-    def _answer(self, wrong: str, again: bool) -> None:
+    def _answer(self, wrong: Refusal | None, again: bool) -> None:
         """In lockstep: one answer for each complete set of inputs; a set that comes again gets the same answer."""
         if self.intake.complete():
             self._step()
-        elif wrong:
-            self._send_safe(wrong)
+        elif wrong is not None:
+            self._send_safe(wrong.kind, wrong.text)
         elif again and self._last_sent:
             self.link.send(self._last_sent, self._stamp())
 
@@ -188,7 +191,7 @@ class Server:
         stale = self.intake.stale(now)
         if stale:
             if not self._fault or now >= self._due:
-                self._send_safe(f"no new value of {', '.join(stale[:3])}")
+                self._send_safe("silence", f"no new value of {', '.join(stale[:3])}")
         elif self.intake.complete() and now >= self._due - EARLY * self._period:
             self._step()
         elif now >= self._due + LATE * self._period:
@@ -201,13 +204,13 @@ class Server:
         try:
             found = self._policy.step(values)
         except Exception as error:  # noqa: BLE001  whatever a graph raises, the robot gets a command
-            self._send_safe(f"the policy fails: {' '.join(str(error).split())[:120]}")
+            self._send_safe("policy", f"the policy fails: {' '.join(str(error).split())[:120]}")
             return
         now = self._clock()
         passed = 0.0 if self._lockstep else (now - self._sent_at) * self._speed
         commands = self.commands.limit(found, max(passed, self._step_time))
         if commands is None:
-            self._send_safe("the policy computes a command that is not finite")
+            self._send_safe("policy", "the policy computes a command that is not finite")
             return
         if self._fault:
             self._event("resumed", "all inputs are there again")
@@ -220,13 +223,13 @@ class Server:
         if self._log is not None:
             self._log.step(self._stamp(), values, commands, answer, "policy")
 
-    def _send_safe(self, reason: str) -> None:
+    def _send_safe(self, kind: str, reason: str) -> None:
         now = self._clock()
         commands = self.commands.safe()
-        if reason != self._fault:
+        if kind != self._fault:
             self._event("safe", reason)
-            self.faults[reason.partition(":")[0][:60]] = self.faults.get(reason.partition(":")[0][:60], 0) + 1
-        self._fault = reason
+            self.faults[kind] += 1
+        self._fault = kind
         self.safe_steps += 1
         self._send(commands)
         self._pace(now)
@@ -290,7 +293,7 @@ def report_lines(report: Mapping[str, Any]) -> list[str]:
         f" {report['limited_steps']:,} with a limited command",
         f"  answer       median {shown[0]}, 99th percentile {shown[1]}, longest {shown[2]}",
         f"  safe posture {report['safe_steps']:,} commands",
-        *(f"    {count:,} times: {reason}" for reason, count in report["safe_because"].items()),
+        *(f"    {count:,} times because of: {reason}" for reason, count in report["safe_because"].items()),
         f"  messages     {report['messages']:,} received, {sum(entry['count'] for entry in report['refused'].values()):,} refused",
     ]
     return lines + [f"    {entry['count']:,} {kind}, the first: {entry['first']}" for kind, entry in report["refused"].items()]

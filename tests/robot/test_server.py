@@ -132,7 +132,7 @@ def test_a_missing_value_is_bridged_and_silence_ends_in_the_safe_posture_within_
     assert len(safe) == pytest.approx((1.0 - AGE) * RATE, abs=15)  # again and again
     world.line.put(101.1, 0.2)
     assert world.run(101.11)[-1] == (101.1, [2.0, 2.0])
-    assert world.server.report()["safe_because"] == {"no new value of cart.angle, cart.gyro": 1}
+    assert world.server.report()["safe_because"] == {"silence": 1}
 
 
 @pytest.mark.parametrize(
@@ -183,7 +183,7 @@ def test_a_clock_that_jumps_is_a_fault_until_the_robot_was_silent(jump: float) -
     assert world.run(101.51)[-1][1] == [3.0, 3.0]
 
 
-def test_messages_that_were_long_under_way_are_refused() -> None:
+def test_messages_that_were_long_under_way_are_ignored() -> None:
     world = World()
     for step in range(10):
         world.line.put(100.0 + step / RATE, 0.1, 500.0 + step / RATE)  # the clock of the robot is another one
@@ -191,7 +191,12 @@ def test_messages_that_were_long_under_way_are_refused() -> None:
     found = world.run(100.51)
     assert found[-1][1] == SAFE
     assert 0.9 not in world.policy.seen
-    assert "late" in world.server.report()["refused"]
+    assert world.server.report()["refused"]["late"]["count"] == 2
+    for late in range(20):  # a network that was held up delivers all at once
+        world.line.put(100.6, 0.9, 500.2 + 0.02 * late)
+    world.line.put(100.6, 0.3, 500.6)
+    assert world.run(100.61)[-1][1] == [3.0, 3.0]
+    assert 0.9 not in world.policy.seen
 
 
 def test_commands_stay_within_value_and_rate() -> None:
