@@ -99,7 +99,8 @@ class RosLink:
 
     def send(self, values: Mapping[str, Array], stamp: float) -> None:
         for writer, codec in self._writers:
-            writer.write(codec.encode(values, stamp))
+            if all(field.name in values for field in codec.fields):
+                writer.write(codec.encode(values, stamp))
 
     def reset(self, number: int, stamp: float) -> None:
         if self._episode_writer is not None:
@@ -107,7 +108,7 @@ class RosLink:
             self._episode_writer.wait_for_acks(duration(seconds=1))
 
     def connected(self) -> bool:
-        return all(writer.get_matched_subscriptions() for writer, _ in self._writers)
+        return any(writer.get_matched_subscriptions() for writer, _ in self._writers)
 
     def close(self) -> None:
         self._conditions.clear()

@@ -61,7 +61,7 @@ class Link(Protocol):
         """Say that episode `number` begins. What is sent afterwards arrives afterwards."""
 
     def connected(self) -> bool:
-        """Whether the other end listens to everything that is sent here."""
+        """Whether the other end listens."""
 
     def close(self) -> None:
         """End the link."""

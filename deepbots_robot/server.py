@@ -18,7 +18,7 @@ import numpy as np
 
 from deepbots_robot.intake import Input, Intake, Refusal
 from deepbots_robot.link import Array, Link
-from deepbots_robot.topics import Field
+from deepbots_robot.topics import ACTION, Field
 
 EARLY = 0.25
 """The share of a period by which a step may come before its time, since messages do not come evenly."""
@@ -215,7 +215,7 @@ class Server:
         if self._fault:
             self._event("resumed", "all inputs are there again")
             self._fault = ""
-        self._send(commands)
+        self._send({ACTION: np.atleast_1d(found[ACTION]), **commands} if ACTION in found else commands)
         answer = self._clock() - received
         self.steps += 1
         self.answers.append(answer)

@@ -16,7 +16,7 @@ from deepbots_robot import model
 from deepbots_robot.intake import Input
 from deepbots_robot.link import Array, Link
 from deepbots_robot.server import Output, Server
-from deepbots_robot.topics import Field, Topic, conflicts, first_mapping
+from deepbots_robot.topics import Field, Topic, action_field, conflicts, first_mapping
 
 if TYPE_CHECKING:
     from deepbots_robot.bundle import Bundle
@@ -161,7 +161,10 @@ def serve(
     inputs, outputs = inputs_of(bundle.info), outputs_of(bundle.info)
     given = {name: Topic(topic.topic, topic.type, topic.part) for name, topic in bundle.info.ros.items()}
     receives = mapped([each.field for each in inputs], given)
-    sends = mapped([each.field for each in outputs], given, commands=True)
+    sends = [
+        action_field(len(bundle.info.choices) or len(bundle.info.action)),
+        *mapped([each.field for each in outputs], given, commands=True),
+    ]
     writer = _opened(log, bundle)
     try:
         link = transport.open(receives, sends, robot=False)

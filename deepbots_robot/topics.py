@@ -59,6 +59,15 @@ class Topic:
     part: str | None = None
 
 
+ACTION = "action"
+"""The name of the field with the action of the policy, as the environment of the scenario takes it."""
+
+
+def action_field(count: int) -> tuple[Field, Topic]:
+    """The action of a policy, which a robot needs no more than any other; a simulated one computes rewards with it."""
+    return Field(ACTION, "", "value", "1", (count,)), Topic("/deepbots/action", "std_msgs/Float64MultiArray")
+
+
 @dataclass(frozen=True)
 class Part:
     """A part of a message: the attributes that lead to it, the units that it may have (any, if empty), and how many numbers it has.

@@ -2,7 +2,7 @@
 
 The link takes the place of the scenario's channels, and commands reach the motors as on a robot: what robot controllers compute under
 `apply` does not run. What the policy reads of the world is sent too, as a tracker would. The reward and the endings are those of the
-scenario; terms that use the action see the middle of its range.
+scenario; terms that use the action see the one that the policy sends beside its commands, else the middle of its range.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from statistics import fmean
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 
 from deepbots_cli import api
 from deepbots_cli.codegen.robot import sampled_sensors
@@ -35,6 +36,7 @@ from deepbots_robot.intake import Input, Intake
 from deepbots_robot.link import Link
 from deepbots_robot.model import Output
 from deepbots_robot.serving import ServeError, Transport, field_of, mapped, outputs_of_entries
+from deepbots_robot.topics import ACTION, Field, Topic, action_field
 
 AGAIN = 0.25
 """Seconds without an answer after which a robot that waits sends its sensors again."""
@@ -127,7 +129,6 @@ class _Collector:
         else:
             self.add(self.describe.of_world(leaf)[0])
 
-
     def _of_channel(self, leaf: EngineRead) -> Scalar:
         """The age of a sensor, as its robot sends it; what is sent is new in every step."""
         robot, _, sensor = leaf.subjects[0].partition(".")
@@ -163,7 +164,7 @@ class SimulatedRobot(Driver):
         patience: float = PATIENCE,
     ) -> None:
         """`environment` is made from `with_probes(robot_program(program), readings)`."""
-        super().__init__(lambda _: self._still)
+        super().__init__(lambda _: self._action)
         self.link = link
         self.answers: list[float] = []
         self.steps = self.late_steps = self.held_steps = self.episodes = 0
@@ -171,7 +172,8 @@ class SimulatedRobot(Driver):
         self._limits = {each.field.name: (each.low, each.high) for each in outputs_of_entries(outputs)}
         self._lockstep, self._patience = lockstep, patience
         self._period = environment.scenario.period / speed
-        self._still = zero_action(environment.action_space)
+        self._space = environment.action_space
+        self._action = self._still = zero_action(self._space)
         self._watch = Watch(environment, readings, ())
         self._obeyed: dict[str, list[float]] = {}
         self._first, self._due = True, 0.0
@@ -193,6 +195,7 @@ class SimulatedRobot(Driver):
     def begin(self, start: Start) -> None:
         """Forget the commands of the last episode: until the first new one the motors hold what they hold at a reset."""
         self._obeyed = {}
+        self._action = self._still
         self._first = True
 
     def act(self, observation: Any) -> Any:
@@ -250,7 +253,10 @@ class SimulatedRobot(Driver):
         """Obey what has come; whether there is now a command of each actuator that answers what was sent."""
         for arrival in self.link.take():
             if arrival.kind == "fields" and (arrival.stamp is None or arrival.stamp >= stamp - 1e-6):
-                self.intake.take(arrival, time.monotonic())
+                if ACTION in arrival.fields and self._space.shape is not None:
+                    self._action = _fitting(arrival.fields[ACTION], self._space, self._still)
+                else:
+                    self.intake.take(arrival, time.monotonic())
         if not self.intake.complete():
             return False
         for name, value in self.intake.values().items():
@@ -260,10 +266,25 @@ class SimulatedRobot(Driver):
         return True
 
 
+def _fitting(value: Any, space: Any, other: Any) -> Any:
+    """An action of the space from the numbers of a message; `other` if they are none."""
+    size = int(np.prod(space.shape))
+    if value.size != size or not np.isfinite(value).all():
+        return other
+    if isinstance(space, spaces.Box):
+        return np.clip(value.reshape(space.shape), space.low, space.high).astype(space.dtype)
+    found = value.astype(np.int64).reshape(space.shape)[()]
+    return found if space.contains(found) else other
+
+
 def _without_limits(entry: Output) -> Input:
     """A command as an input of the robot, which takes any finite one and keeps it within its limits."""
     free = np.full(entry.shape, np.inf)
     return Input(field_of(entry), "float64", -free, free, np.inf)
+
+
+def _action_field(program: Program) -> tuple[Field, Topic]:
+    return action_field(len(program.agent.choices) or len(program.agent.range_names))
 
 
 def serve_robot(

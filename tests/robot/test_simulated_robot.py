@@ -27,6 +27,7 @@ from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.policies import PolicyDriver
 from deepbots_robot.server import Server
 from deepbots_robot.serving import Transport, field_of, inputs_of, mapped, outputs_of
+from deepbots_robot.topics import Field, Topic, action_field
 from tests.bundle.untrained import made
 from tests.few import WORLDS, few
 
@@ -41,7 +42,7 @@ def served(scenario: str, transport: Transport, *, lockstep: bool = True) -> Ite
     given = mapping(step.program)
     inputs, outputs = inputs_of(bundle.info), outputs_of(bundle.info)
     receives = mapped([each.field for each in inputs], given)
-    sends = mapped([each.field for each in outputs], given, commands=True)
+    sends = [_action(step.program), *mapped([each.field for each in outputs], given, commands=True)]
     link = transport.open(receives, sends, robot=False)
     server = Server(bundle.start(), inputs, outputs, link, bundle.info.rate_hz, lockstep=lockstep)
     done = threading.Event()
@@ -55,6 +56,10 @@ def served(scenario: str, transport: Transport, *, lockstep: bool = True) -> Ite
         link.close()
 
 
+def _action(program: Program) -> tuple[Field, Topic]:
+    return action_field(len(program.agent.choices) or len(program.agent.range_names))
+
+
 def without_noise(program: Program) -> Program:
     """Without noise of the supervisor, which a bundle does not know."""
     from dataclasses import replace
@@ -65,13 +70,10 @@ def without_noise(program: Program) -> Program:
     return replace(program, signals=tuple(replace(signal, noise=None) for signal in program.signals))
 
 
-def seen(program: Program, observation: Any) -> np.ndarray[Any, Any]:
-    """What is observed of the world; the action of the last step is known at the other end of the link."""
-    numbers = observation.get("observation", np.zeros(0)) if isinstance(observation, dict) else observation
-    if len(numbers.shape) != 1:
-        return np.asarray(numbers, float)
-    own = [entry.name.startswith("previous_action") for entry in program.agent.inputs]
-    return np.where(own, 0.0, numbers)
+def seen(observation: Any) -> list[np.ndarray[Any, Any]]:
+    """The arrays of an observation."""
+    parts = observation.values() if isinstance(observation, dict) else [observation]
+    return [np.asarray(part, float) for part in parts]
 
 
 @pytest.mark.parametrize("scenario", few(SINGLE, (*WORLDS, "balancer", "find_and_avoid", "panda_push")))
@@ -85,15 +87,16 @@ def test_an_episode_over_a_link_is_that_of_the_environment(scenario: str, tmp_pa
     with served(scenario, transport), closing(api.build(with_probes(program, readings))) as world:
         outputs = step.outputs
         sends = [(field_of(reading.info), None) for reading in readings]
-        link = transport.open([(field_of(entry), None) for entry in outputs], sends, robot=True)  # type: ignore[misc, arg-type]
+        receives = [_action(program), *((field_of(entry), None) for entry in outputs)]
+        link = transport.open(receives, sends, robot=True)  # type: ignore[arg-type]
         with closing(link):
             robot = SimulatedRobot(world, readings, outputs, link, lockstep=True, patience=10)
             over_link = list(itertools.islice(steps(world, robot, Start.of_evaluation(3, 0)), STEPS))
     assert [each.is_last for each in over_link] == [each.is_last for each in alone]
     for one, other in zip(alone, over_link, strict=True):
-        np.testing.assert_allclose(
-            seen(program, other.observation), seen(program, one.observation), atol=2e-3, err_msg=f"step {one.number}"
-        )
+        assert other.reward == pytest.approx(one.reward, abs=1e-3)
+        for expected, found in zip(seen(one.observation), seen(other.observation), strict=True):
+            np.testing.assert_allclose(found, expected, atol=2e-3, err_msg=f"step {one.number}")
     assert robot.steps == len(alone) - 1
 
 
