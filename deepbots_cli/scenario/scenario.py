@@ -379,6 +379,13 @@ class Measured(Section):
     """Standard deviation of the noise: in the unit of the value, such as `2 mm`, or as `2 %` of the value."""
 
 
+class Deploy(Section):
+    """What a real robot needs that has no supervisor; `deepbots export` writes it into the bundle."""
+
+    supplied_by: dict[Annotated[str, Reference("reading")], PlainText] = {}
+    """What supplies each reading of the world that the policy needs and no robot measures, such as `position(ball): motion capture`."""
+
+
 Augmentation = Annotated[
     Many[Annotated[str, Reference("parameter or signal")]] | dict[SharedName, Annotated[Measured | Signal, FORMS]], FORMS
 ]
@@ -575,6 +582,8 @@ class Scenario(Section):
     """How the policy is trained. Without it, `deepbots train` chooses the learner."""
     tune: Tune | None = None
     """A search for better values of the scenario."""
+    deploy: Deploy | None = None
+    """What a real robot needs; with this section, `lint` reports readings of the world that nothing supplies (DB617)."""
     tests: dict[LocalName, ScenarioTest] = {}
     """Tests for `deepbots test`, each under a name that you choose: who acts, and the expected result."""
 
