@@ -6,7 +6,7 @@ import hashlib
 import io
 import os
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -108,41 +108,43 @@ class Bundle:
         options.intra_op_num_threads = options.inter_op_num_threads = 1  # a small network takes longer on several threads
         options.log_severity_level = 4  # what onnxruntime writes to the terminal is raised as well
         try:
-            self.session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
-        except Exception as error:
+            self.session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"], enable_fallback=False)
+            inputs, outputs = self.session.get_inputs(), self.session.get_outputs()
+            found = self.session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
+        except Exception as error:  # of onnxruntime, or of Python where a name in the graph is no text
             raise BundleError(f"{GRAPH_NAME} cannot be run by onnxruntime: {_one_line(error)}") from error
-        self.output_names = tuple(entry.name for entry in self.session.get_outputs())
-        problem = next(self._differences(), None)
+        problem = next(_differences(info, inputs, outputs), None)
         if problem is not None:
             raise BundleError(f"{GRAPH_NAME} does not fit {BUNDLE_NAME}: {problem}")
-        found = self.session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
         if found != description_digest(info):
             raise BundleError(f"{GRAPH_NAME} and {BUNDLE_NAME} are not of the same export")
+        self.output_names = tuple(entry.name for entry in outputs)
 
     def start(self) -> Policy:
         """The policy at the start of an episode, with a memory of its own."""
         return Policy(self)
 
-    def _differences(self) -> Iterator[str]:
-        info = self.info
-        read: tuple[model.Input | model.Memory, ...] = (*info.inputs, *info.memory)
-        given = [(entry.name, entry.shape, entry.dtype) for entry in read]
-        made: list[tuple[str, tuple[int, ...], str]] = [(entry.name, entry.shape, entry.dtype) for entry in info.outputs]
-        made += [(f"{entry.name}_next", entry.shape, entry.dtype) for entry in info.memory]
-        choices = info.choices
-        size = len(choices) if choices else len(info.action)
-        shape: tuple[int, ...] = () if len(choices) == 1 else (size,)
-        made.append(("action", shape, "int64" if choices else "float32"))
-        made += [("scores", (sum(choices),), "float32")] if choices else []
-        for what, wanted, found in (("input", given, self.session.get_inputs()), ("output", made, self.session.get_outputs())):
-            names, known = [entry[0] for entry in wanted], [entry.name for entry in found]
-            if names != known:
-                other = next((name for name in (*names, *known) if (name in names) != (name in known)), None)
-                order = f"the {what}s have another order" if other is None else f"'{other}' is an {what} of only one of them"
-                yield order
-            for (name, shape, dtype), entry in zip(wanted, found, strict=False):
-                if tuple(entry.shape) != shape or entry.type != _ONNX_TYPES[dtype]:
-                    yield f"the {what} '{name}' is {dtype} {list(shape)} in one, and {entry.type} {entry.shape} in the other"
+
+def _differences(info: BundleInfo, inputs: Sequence[Any], outputs: Sequence[Any]) -> Iterator[str]:
+    """How the inputs and outputs of a graph differ from those of a bundle.json."""
+    read: tuple[model.Input | model.Memory, ...] = (*info.inputs, *info.memory)
+    given = [(entry.name, entry.shape, entry.dtype) for entry in read]
+    made: list[tuple[str, tuple[int, ...], str]] = [(entry.name, entry.shape, entry.dtype) for entry in info.outputs]
+    made += [(f"{entry.name}_next", entry.shape, entry.dtype) for entry in info.memory]
+    choices = info.choices
+    size = len(choices) if choices else len(info.action)
+    shape: tuple[int, ...] = () if len(choices) == 1 else (size,)
+    made.append(("action", shape, "int64" if choices else "float32"))
+    made += [("scores", (sum(choices),), "float32")] if choices else []
+    for what, wanted, found in (("input", given, inputs), ("output", made, outputs)):
+        names, known = [entry[0] for entry in wanted], [entry.name for entry in found]
+        if names != known:
+            other = next((name for name in (*names, *known) if (name in names) != (name in known)), None)
+            order = f"the {what}s have another order" if other is None else f"'{other}' is an {what} of only one of them"
+            yield order
+        for (name, shape, dtype), entry in zip(wanted, found, strict=False):
+            if tuple(entry.shape) != shape or entry.type != _ONNX_TYPES[dtype]:
+                yield f"the {what} '{name}' is {dtype} {list(shape)} in one, and {entry.type} {entry.shape} in the other"
 
 
 class Policy:
@@ -285,12 +287,12 @@ def replay(bundle: Bundle, parity: Parity) -> None:
     """Repeat recorded steps.
 
     Raises:
-        BundleError: A command differs by more than 1e-5 of its range, or another option is chosen although its score is smaller by more
-            than 1e-5; or the graph cannot be run.
+        BundleError: A command or a score differs by more than 1e-5 of its range, or another option is chosen although its score is
+            smaller by more than 1e-5; or the graph cannot be run.
     """
     policy = bundle.start()
     starts, skipping = set(parity.starts), False
-    spans = {entry.name: span_of(entry) for entry in bundle.info.outputs} | {"action": np.array(2.0)}
+    spans: dict[str, Any] = {entry.name: span_of(entry) for entry in bundle.info.outputs} | {"action": 2.0}
     for step in range(parity.steps):
         if step in starts:
             policy.reset()
@@ -305,6 +307,8 @@ def replay(bundle: Bundle, parity: Parity) -> None:
         if skipping or _are_tied(bundle.info.choices, found, wanted):
             skipping = True  # the commands are those of another option, and what follows may depend on them
             continue
+        if "scores" in wanted:
+            spans["scores"] = max(1.0, float(np.abs(wanted["scores"]).max()))
         for name, span in spans.items():
             if not np.all(np.abs(found[name] - wanted[name]) <= TOLERANCE * span):
                 numbers = f"'{name}' is {_numbers(found[name])} and was {_numbers(wanted[name])}"

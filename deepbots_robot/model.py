@@ -36,7 +36,7 @@ Digest = Annotated[str, Meta(pattern="^[0-9a-f]{64}$", description="SHA-256 in h
 Finite = Annotated[float, Meta(ge=-1e300, le=1e300)]
 Positive = Annotated[float, Meta(gt=0, le=1e12)]
 NotNegative = Annotated[float, Meta(ge=0, le=1e12)]
-Shape = Annotated[tuple[Annotated[int, Meta(ge=1, le=MAX_NUMBERS)], ...], Meta(max_length=4)]
+Shape = Annotated[tuple[Annotated[int, Meta(ge=1, le=MAX_NUMBERS)], ...], Meta(min_length=1, max_length=4)]
 Names = Annotated[tuple[Name, ...], Meta(max_length=MAX_FIELDS)]
 Numbers = Annotated[tuple[Finite, ...], Meta(max_length=MAX_FIELDS)]
 Bounds = Annotated[tuple[Finite | None, ...], Meta(max_length=MAX_FIELDS)]

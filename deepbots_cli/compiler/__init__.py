@@ -206,6 +206,7 @@ def _program(namespace: Namespace) -> Program:
         evaluation=Evaluation(spec.evaluation.episodes),
         disturbances=disturbances(namespace),
         engine=spec.world.engine,
+        supplied_by=tuple(spec.deploy.supplied_by.items()) if spec.deploy else (),
     )
     sending = tuple(replace(robot, emit=builder.sent()) for robot, builder in zip(robots, builders, strict=True))
     return with_reading_ages(replace(program, robots=sending, ros=topics(namespace, program)))

@@ -131,6 +131,7 @@ _CATALOG = (
     Rule("DB614", "goal-in-observation", "warning", "the policy sees the goal where hindsight replay cannot replace it"),
     Rule("DB615", "rays-meet-nothing", "warning", "a sensor whose rays meet nothing in the world", deep="too", deep_preview=True),
     Rule("DB616", "noise-without-effect", "warning", "noise on a value that the policy also observes without noise"),
+    Rule("DB617", "reading-not-supplied", "warning", "a reading of the world that nothing supplies on a real robot"),
     Rule("DB701", "reward-unbounded", "warning", "a reward term that is unbounded"),
     Rule("DB702", "term-dominates", "warning", "a reward term that outweighs the rewards of the endings", deep="too", deep_preview=True),
     Rule("DB703", "suspicious-sign", "warning", "a reward term whose sign contradicts the endings"),

@@ -381,6 +381,13 @@ class Measured(Section):
     """Standard deviation of the noise: in the unit of the value, such as `2 mm`, or as `2 %` of the value."""
 
 
+class Deploy(Section):
+    """What a real robot needs that has no supervisor; `deepbots export` writes it into the bundle."""
+
+    supplied_by: dict[Annotated[str, Reference("reading")], PlainText] = {}
+    """What supplies each reading of the world that the policy needs and no robot measures, such as `position(ball): motion capture`."""
+
+
 class RosTopic(Section):
     """The ROS 2 topic of a sensor or an actuator."""
 
@@ -588,6 +595,8 @@ class Scenario(Section):
     """How the policy is trained. Without it, `deepbots train` chooses the learner."""
     tune: Tune | None = None
     """A search for better values of the scenario."""
+    deploy: Deploy | None = None
+    """What a real robot needs; with this section, `lint` reports readings of the world that nothing supplies (DB617)."""
     ros: dict[Annotated[str, Reference("sensor or actuator")], RosTopic] = {}
     """ROS 2 topics of sensors and actuators, such as `cart.pole_angle`, for `deepbots serve --ros`. `deepbots inspect --ros` prints a first
     version; a sensor or an actuator without an entry has the topic that it prints."""

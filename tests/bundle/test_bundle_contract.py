@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
 
+from deepbots_cli.analysis.deployment import Deployment
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import UsageError
 from tests.bundle.untrained import compared, made
@@ -34,6 +35,18 @@ def test_a_bundle_commands_what_the_robots_of_the_simulation_apply(scenario):
     found = compared(scenario, steps=60)
     assert found.steps == 60
     assert found.worst <= 1e-5
+
+
+@pytest.mark.parametrize("scenario", few(shipped.scenario_names(), FAST))
+def test_lint_knows_which_readings_nothing_on_a_robot_measures(scenario):
+    """`DB617` asks for a supplier of each."""
+    step, _, known = made(scenario)
+    of_source = {
+        source: {entry.name for entry in known.info.inputs if entry.source == source} for source in ("sensor", "supervisor", "goal")
+    }
+    deployment = Deployment(step.program)
+    assert of_source["supervisor"] == {*deployment.unmeasured}
+    assert of_source["goal"] == {*deployment.goals}
 
 
 @pytest.mark.slow

@@ -21,11 +21,13 @@ from deepbots_cli.rollout.policies import PolicyDriver
 from deepbots_robot.bundle import TOLERANCE, Bundle, span_of
 from deepbots_robot.model import Input, Output
 
-RECORDED, RANDOM = 200, 100
+RECORDED, RANDOM = 200, 200
 """Steps of each kind."""
 _TRIES = 10
 """At most so many times as many steps are looked at."""
 _RANDOM_EPISODE = 10
+_WIDTHS = (1.0, 3.0, 30.0)
+"""How wide random values are drawn, in widths of the recorded ones: within the range that the policy sees, and where it is clipped."""
 _CLEAR = 10 * TOLERANCE
 """The least distance of the two best scores of a recorded step; closer ones might change places on another processor."""
 
@@ -150,7 +152,7 @@ def _stacked(rows: list[Mapping[str, Array]]) -> dict[str, Array]:
 
 
 def _add_random_steps(bundle: Bundle, rows: _Rows) -> None:
-    """Steps with inputs in and around the range of the recorded ones."""
+    """Steps with inputs in and around the range of the recorded ones, and far beyond."""
     random, policy, known = np.random.default_rng(0), bundle.start(), rows.inputs
     wanted = rows.count + RANDOM
     for number in range(_TRIES * RANDOM):
@@ -169,8 +171,8 @@ def _random_value(entry: Input, recorded: Array, random: np.random.Generator) ->
     if entry.dtype == "uint8":
         return random.integers(0, 256, entry.shape, np.uint8)
     low, high = recorded.min(axis=0), recorded.max(axis=0)
-    span = high - low
+    width = random.choice(_WIDTHS) * np.where(high > low, high - low, 1.0)
     ends = entry.range or ((None,) * len(low), (None,) * len(low))
     least = [-np.inf if end is None else end for end in ends[0]]
     most = [np.inf if end is None else end for end in ends[1]]
-    return np.asarray(np.clip(random.uniform(low - span / 2, high + span / 2), least, most))
+    return np.asarray(np.clip((low + high) / 2 + width * random.uniform(-1.0, 1.0, entry.shape), least, most))

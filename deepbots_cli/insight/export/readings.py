@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from deepbots_cli.analysis.deployment import Deployment, reading_key
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.intervals import Interval
@@ -14,7 +15,7 @@ from deepbots_cli.expressions.types import QUATERNION, SPACE
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import NoiseModel, Robot, Sensor
 from deepbots_cli.program.values import Expression
-from deepbots_cli.robots.model import Joint, Pose
+from deepbots_cli.robots.model import Pose
 from deepbots_cli.scenario.sensors import SENSORS, JointSensor
 from deepbots_robot.model import Input, Mount
 
@@ -40,16 +41,10 @@ class Readings:
 
     def __init__(self, program: Program) -> None:
         self._program = program
-        self._supplied_by = dict(program.supplied_by)
-        self._joints = {f"{body.name}.{joint.name}": joint for body in program.world.robots for joint in body.model.joints}
-        self._roots = {f"{body.name}.{body.model.root}": body.name for body in program.world.robots}
-        self.direct: dict[EngineRead, tuple[Robot, Sensor, int]] = {}
+        self._deployment = Deployment(program)
+        self._supplied_by = {reading_key(key): text for key, text in program.supplied_by}
+        self.direct = self._deployment.sensed
         """The readings of the world that are components of a sensor."""
-        for robot in program.robots:
-            for sensor in robot.sensors if program.is_direct(robot, "from_robot") else ():
-                for index, component in enumerate(sensor.components or (None,)):
-                    if sensor.is_direct:
-                        self.direct.setdefault(sensor.world_value(robot.name, component), (robot, sensor, index))
 
     def sensor(self, robot: Robot, sensor: Sensor) -> Reading:
         """A sensor of a robot, as the supervisor gets its values."""
@@ -84,19 +79,17 @@ class Readings:
         """A reading of the world by the supervisor, and the index of the number in it."""
         components = _VECTORS.get(read.function, ())
         function = FUNCTIONS.get(read.function)
-        subjects = tuple(self._roots.get(subject, subject) for subject in read.subjects)
-        joint = self._joints.get(read.subjects[0])
-        measured = read.function in ("age", "message_received")
+        joint = self._deployment.joints.get(read.subjects[0])
         shared = NUMBER if joint is None else LENGTH if joint.type == "prismatic" else ANGLE
         truth = function is None or function.boolean
-        name = f"{read.function}({', '.join(subjects)})"
+        name = self._deployment.name(read)
         interval = function.interval() if function is not None and read.function == "orientation" else None
-        robot = subjects[0].partition(".")[0]
+        robot = read.subjects[0].partition(".")[0]
         robots = {known.name for known in self._program.robots}
         info = self._input(
             name,
             robot=robot if robot in robots else None,
-            source="sensor" if measured or self._is_sensed(read, joint) else "supervisor",
+            source="sensor" if self._deployment.is_measured(read) else "supervisor",
             supplied_by=self._supplied_by.get(name),
             sensor=read.function,
             joints=(joint.name,) if joint is not None else (),
@@ -109,13 +102,6 @@ class Readings:
         )
         whole = [EngineRead(read.function, read.subjects, part) for part in components] or [read]
         return Reading(info, tuple(whole)), components.index(read.component) if read.component else 0
-
-    def _is_sensed(self, read: EngineRead, joint: Joint | None) -> bool:
-        """Whether a robot measures a joint itself."""
-        if joint is None:
-            return False
-        robot = next(robot for robot in self._program.robots if robot.name == read.subjects[0].partition(".")[0])
-        return any(sensor.kind == read.function and joint.name in sensor.subjects for sensor in robot.sensors)
 
     def parameter(self, value: Expression) -> Reading:
         """A parameter that an episode draws: on a robot, somebody sets it."""
