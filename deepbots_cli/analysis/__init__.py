@@ -5,6 +5,7 @@ they measure. It says which values are the same quantity, whatever their names, 
 
 ranges.py      the interval of a value, in any step and right after a reset; intervals as text
 conditions.py  the comparisons in a condition, the thresholds that they set, endings that hide others
+deployment.py  the readings of the world that a policy needs on a real robot
 returns.py     what the terms of the reward pay in a step and at an end, and the return of an episode
 """
 

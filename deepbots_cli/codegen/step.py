@@ -226,7 +226,7 @@ def _delivers_in_ticks(supervisor: SupervisorPrinter, robot: Robot) -> bool:
 
 def _print_delivering(supervisor: SupervisorPrinter, printer: Printer, robot: Robot) -> None:
     controller, channel = f"self.robot_{robot.name}", f"self.to_{robot.name}"
-    if supervisor.is_direct(robot, "to_robot"):
+    if supervisor.scenario.is_direct(robot, "to_robot"):
         printer.line(f"{controller}.use_message_data({channel}.receive())")
     else:
         printer.line(f"for message in {channel}.receive():")
@@ -242,7 +242,7 @@ def _print_receiving(supervisor: SupervisorPrinter, printer: Printer, robot: Rob
     if drawing.lines and supervisor.scenario.format != "none":
         printer.lines += [f"if {supervisor.tick}:", *indent(drawing.lines)] if printer.on_floats else drawing.lines
     printer.line(f"{channel}.send({controller}.create_message())")
-    receive = "receive" if supervisor.is_direct(robot, "from_robot") else "newest"
+    receive = "receive" if supervisor.scenario.is_direct(robot, "from_robot") else "newest"
     printer.line(f"{targets_code(targets)} = {channel}.{receive}()" if targets else f"{channel}.{receive}()")
 
 

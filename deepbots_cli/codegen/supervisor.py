@@ -118,7 +118,7 @@ def _bind_robots(supervisor: SupervisorPrinter) -> list[str]:
     for robot in supervisor.scenario.robots:
         lines.append(f"self.robot_{robot.name} = self.robot({quoted(robot.name)}, {controller_name(robot)})")
         for which, direction in (("to", "to_robot"), ("from", "from_robot")):
-            made = "channel" if supervisor.is_direct(robot, direction) else "lossy_channel"  # type: ignore[arg-type]
+            made = "channel" if supervisor.scenario.is_direct(robot, direction) else "lossy_channel"  # type: ignore[arg-type]
             lines.append(f"self.{which}_{robot.name} = self.{made}({quoted(robot.name)}, {quoted(direction)})")
     return lines
 

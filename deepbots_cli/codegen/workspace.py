@@ -16,7 +16,6 @@ from deepbots_cli.codegen.text import LOOP_VARIABLES, Constants, Names, quoted
 from deepbots_cli.expressions.lower import SCALAR, Target
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, is_drawn, names_in, walk
 from deepbots_cli.program import Program
-from deepbots_cli.program.robots import Direction, Robot
 from deepbots_cli.program.task import action_names
 
 # Readers of the engine
@@ -282,11 +281,6 @@ class SupervisorPrinter(ClassPrinter):
         self._components["previous_action"] = action_names(self.agent.action)
         if goal is not None:
             self._components |= dict.fromkeys(("achieved", "desired"), goal.components)
-
-    def is_direct(self, robot: Robot, direction: Direction) -> bool:
-        """Whether each message arrives in the timestep in which it is sent: `delayed` timing makes either direction a timestep longer."""
-        route = robot.to_route if direction == "to_robot" else robot.from_route
-        return self.scenario.format == "none" or (route.perfect and self.scenario.timing == "immediate")
 
     @property
     def variables(self) -> list[tuple[str, Sequence[str]]]:

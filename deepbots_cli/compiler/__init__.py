@@ -15,6 +15,7 @@ episodes.py     what an episode draws: parameters, channels, disturbances; how i
 learner.py      the learner that deepbots chooses for a scenario that names no algorithm
 evaluation.py   training; cases of the evaluation and stages of the curriculum; tests of the scenario
 search.py       the search of `tune`
+topics.py       the ROS 2 topics of sensors and actuators
 inputs.py       the files that the scenario was made from, as a run keeps copies of them
 inventory.py    the names of a scenario by kind, for editors and its JSON Schema
 """
@@ -46,6 +47,7 @@ from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.policy import Actions, Goals, Observations, copies, scripts
 from deepbots_cli.compiler.robots import ResolvedRobot, load_robot
 from deepbots_cli.compiler.search import compile_search
+from deepbots_cli.compiler.topics import topics
 from deepbots_cli.compiler.values import ValueReader, invalid_names
 from deepbots_cli.compiler.world import define_bodies, lines, world
 from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
@@ -204,9 +206,10 @@ def _program(namespace: Namespace) -> Program:
         evaluation=Evaluation(spec.evaluation.episodes),
         disturbances=disturbances(namespace),
         engine=spec.world.engine,
+        supplied_by=tuple(spec.deploy.supplied_by.items()) if spec.deploy else (),
     )
     sending = tuple(replace(robot, emit=builder.sent()) for robot, builder in zip(robots, builders, strict=True))
-    return with_reading_ages(replace(program, robots=sending))
+    return with_reading_ages(replace(program, robots=sending, ros=topics(namespace, program)))
 
 
 def _joined(findings: Findings) -> Findings:

@@ -11,6 +11,7 @@ transfer.py    what differs between two worlds of a scenario, such as two engine
 retry.py       trainings that follow one another with the values that the diagnosis advises
 report.py      one HTML file about a run or a group: result, curves, episodes, scenario; figures.py its figures
 study.py       one HTML file about a study of `deepbots tune`: history, importance, slices
-export.py      the policy of a run as ONNX graphs
-card.py        the bundle of an exported policy: its card, and whether it fits a scenario
+templates.py   the templates of pages and of READMEs
+export/        a policy for a robot, as a folder that runs without deepbots
+robot.py       the simulation as a robot, which sends its sensors and obeys commands
 """

@@ -29,7 +29,7 @@ from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, R
 from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.insight import figures
-from deepbots_cli.insight.card import render_template
+from deepbots_cli.insight.templates import render_template
 from deepbots_cli.insight.training import lint_findings
 from deepbots_cli.learning.episodes import UNBOUNDED
 from deepbots_cli.learning.group import Group

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import deepbots_cli
 from deepbots_cli.errors import RunError
-from deepbots_cli.insight.card import render_template
 from deepbots_cli.insight.figures import new_figure
 from deepbots_cli.insight.report import svg_uri, write_figure_files
+from deepbots_cli.insight.templates import render_template
 from deepbots_cli.learning.statistics import mean_interval
 from deepbots_cli.learning.study import Journal, Study, StudyTrial
 from deepbots_cli.view.frames import COLORS

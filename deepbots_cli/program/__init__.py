@@ -25,7 +25,7 @@ a program as canonical JSON, whose digest identifies the scenario.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -35,10 +35,11 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.program.draws import EpisodeDraws
 from deepbots_cli.program.resets import Disturbance, Reset
-from deepbots_cli.program.robots import Robot, Timing
+from deepbots_cli.program.robots import Direction, Robot, Timing
 from deepbots_cli.program.task import Agent, Choices, Criterion, Evaluation, ScenarioTest, Script, Truncation
 from deepbots_cli.program.values import Expression, Foreign, NamedScalars
 from deepbots_cli.program.world import WorldModel
+from deepbots_robot.topics import Topic
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +55,8 @@ class Program:
     There is one agent, `agent`. `engine` is the engine
     that the scenario names, None for the default. `stored_signals` names the signals that the supervisor stores after each step, as
     `last_NAME`; only programs of `insight`, which explains episodes, have some. The compiler returns no `tests`: `deepbots test` adds
-    those whose conditions the generated code computes.
+    those whose conditions the generated code computes. `supplied_by` says what supplies readings of the world to a real robot, by reading.
+    `ros` has the topics of sensors and commands that the scenario names.
     """
 
     name: str
@@ -77,10 +79,12 @@ class Program:
     disturbances: tuple[Disturbance, ...] = ()
     engine: str | None = None
     stored_signals: frozenset[str] = frozenset()
+    supplied_by: tuple[tuple[str, str], ...] = ()
     tests: tuple[ScenarioTest, ...] = ()
+    ros: Mapping[str, Topic] = field(default_factory=dict)
 
     def digest_fields(self) -> dict[str, object]:
-        left_out = {"stored_signals", "tests"} | ({"engine"} if self.engine in (None, DEFAULT_ENGINE) else set())
+        left_out = {"ros", "stored_signals", "supplied_by", "tests"} | ({"engine"} if self.engine in (None, DEFAULT_ENGINE) else set())
         return {name: value for name, value in vars(self).items() if name in self.__dataclass_fields__ and name not in left_out}
 
     @cached_property
@@ -92,6 +96,11 @@ class Program:
     def with_agents(self, **changes: Any) -> Program:
         """The program with the same fields of every agent changed."""
         return replace(self, agents={name: replace(agent, **changes) for name, agent in self.agents.items()})
+
+    def is_direct(self, robot: Robot, direction: Direction) -> bool:
+        """Whether each message arrives in the timestep in which it is sent: `delayed` timing makes either direction a timestep longer."""
+        route = robot.to_route if direction == "to_robot" else robot.from_route
+        return self.format == "none" or (route.perfect and self.timing == "immediate")
 
     @property
     def python_functions(self) -> tuple[Foreign, ...]:

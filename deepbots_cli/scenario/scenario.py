@@ -45,6 +45,7 @@ from deepbots_cli.scenario.search import SearchField
 from deepbots_cli.scenario.sensors import AnySensor
 from deepbots_cli.scenario.training import AnyTraining
 from deepbots_cli.scenario.world import AnyObject, Pose, World
+from deepbots_robot.topics import PARTS
 
 # Robots and messages
 
@@ -156,6 +157,7 @@ class Messages(Section):
 
 # Task
 
+ROS_TOPIC = Text("a topic of ROS 2", r"/[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*", "/joint_states")
 PYTHON_PATH = Text("a function as `package.module:function`", r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", "package.module:function")
 Choice = Annotated[Scalar, Quantity("any")]
 Noise = Annotated[Scalar, Quantity("any", known="episode", relative=True, minimum=0)]
@@ -379,6 +381,24 @@ class Measured(Section):
     """Standard deviation of the noise: in the unit of the value, such as `2 mm`, or as `2 %` of the value."""
 
 
+class Deploy(Section):
+    """What a real robot needs that has no supervisor; `deepbots export` writes it into the bundle."""
+
+    supplied_by: dict[Annotated[str, Reference("reading")], PlainText] = {}
+    """What supplies each reading of the world that the policy needs and no robot measures, such as `position(ball): motion capture`."""
+
+
+class RosTopic(Section):
+    """The ROS 2 topic of a sensor or an actuator."""
+
+    topic: Annotated[str, ROS_TOPIC]
+    """Name of the topic, such as `/joint_states`."""
+    type: Annotated[str, Word(PARTS)]
+    """Type of its messages. The message must have a part with the unit and the number of values of the sensor or actuator."""
+    part: PlainText | None = None
+    """Part of the message, such as `velocity` or `linear.x`. Default: the part whose unit and number of values fit."""
+
+
 Augmentation = Annotated[
     Many[Annotated[str, Reference("parameter or signal")]] | dict[SharedName, Annotated[Measured | Signal, FORMS]], FORMS
 ]
@@ -575,6 +595,11 @@ class Scenario(Section):
     """How the policy is trained. Without it, `deepbots train` chooses the learner."""
     tune: Tune | None = None
     """A search for better values of the scenario."""
+    deploy: Deploy | None = None
+    """What a real robot needs; with this section, `lint` reports readings of the world that nothing supplies (DB617)."""
+    ros: dict[Annotated[str, Reference("sensor or actuator")], RosTopic] = {}
+    """ROS 2 topics of sensors and actuators, such as `cart.pole_angle`, for `deepbots serve --ros`. `deepbots inspect --ros` prints a first
+    version; a sensor or an actuator without an entry has the topic that it prints."""
     tests: dict[LocalName, ScenarioTest] = {}
     """Tests for `deepbots test`, each under a name that you choose: who acts, and the expected result."""
 

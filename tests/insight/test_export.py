@@ -1,7 +1,8 @@
-"""Exported policies act as Stable-Baselines3 does, in the units that the card says; bundles that do not fit are refused item by item."""
+"""Exported networks act as Stable-Baselines3 does; `deepbots export` describes what it writes, and refuses what does not fit."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import shlex
@@ -16,12 +17,13 @@ pytest.importorskip("onnxruntime")
 import onnxruntime
 import torch
 
+import deepbots_robot
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
-from deepbots_cli.insight import export
+from deepbots_cli.insight.export import network
 from deepbots_cli.learning import learner as learners
-from deepbots_cli.learning.policy import Policy, load_policy
+from deepbots_cli.learning.policy import load_policy
 from deepbots_cli.program.task import Network, Training
 from deepbots_cli.runtime.spaces import action_space, observation_space
 
@@ -64,37 +66,22 @@ def _session(graph: bytes):
 )
 def test_actions_are_those_of_stable_baselines3(scenario, algorithm, activation):
     program, learner = _made(scenario, algorithm, activation)
-    graph = export.networks(learner, program)["policy.onnx"]
+    graph = network.policy_graph(learner, program)
     session = _session(graph)
-    assert export.largest_difference(learner, program, graph, 10_000, lambda feeds: session.run(None, feeds)) <= export.TOLERANCE
+    assert network.largest_difference(learner, program, graph, 10_000, lambda feeds: session.run(None, feeds)) <= network.TOLERANCE
 
 
 @pytest.mark.slow
 def test_pictures_are_seen_as_stable_baselines3_sees_them():
     program, learner = _made("see_ball", "PPO")
-    graph = export.networks(learner, program)["policy.onnx"]
+    graph = network.policy_graph(learner, program)
     session = _session(graph)
-    assert export.largest_difference(learner, program, graph, 200, lambda feeds: session.run(None, feeds)) <= export.TOLERANCE
-
-
-@pytest.mark.parametrize(("scenario", "algorithm"), [("cartpole", "PPO"), ("find_ball", "SAC")])
-def test_in_si_units_values_and_commands_mean_what_the_scenario_says(scenario, algorithm):
-    """Also beyond the ranges, where the environment clips."""
-    program, learner = _made(scenario, algorithm)
-    policy, session = Policy(program, learner), _session(export.networks(learner, program)["policy_si.onnx"])
-    dice = np.random.default_rng(1)
-    for _ in range(20):
-        values = {n.name: dice.uniform(1.5 * n.low - 0.5 * n.high, 1.5 * n.high - 0.5 * n.low) for n in policy.observation}
-        action = policy.predict(policy.observe(values))
-        (command,) = session.run(["command"], {"observation": np.array([list(values.values())], np.float32)})
-        named = policy.named(action)
-        wanted = [{"forward": 1.0, "backward": -1.0}[name] for name in named.values()] if scenario == "cartpole" else list(named.values())
-        assert command[0] == pytest.approx(wanted, abs=1e-4)
+    assert network.largest_difference(learner, program, graph, 200, lambda feeds: session.run(None, feeds)) <= network.TOLERANCE
 
 
 def test_older_values_stand_where_the_environment_puts_them():
     program, learner = _made("cartpole", "PPO", frame_stack=3)
-    graph = export.networks(learner, program)["policy.onnx"]
+    graph = network.policy_graph(learner, program)
     assert _session(graph).get_inputs()[0].shape == ["batch", 12]
     assert [entry.steps_ago for entry in program.agent.inputs][::4] == [2, 1, 0]
 
@@ -103,48 +90,58 @@ def test_a_layer_that_is_not_known_is_named():
     program, learner = _made("cartpole", "PPO")
     learner.model.policy.mlp_extractor.policy_net[1] = torch.nn.Dropout()
     with pytest.raises(UsageError, match="layer Dropout"):
-        export.networks(learner, program)
+        network.policy_graph(learner, program)
 
 
 @pytest.fixture(scope="session")
 def bundle(run, tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("bundles") / "cartpole-onnx"
-    assert main(["export", str(run), "--to", "onnx", "-o", str(folder)]) == 0
+    folder = tmp_path_factory.mktemp("bundles") / "cartpole-bundle"
+    assert main(["export", str(run), "-o", str(folder)]) == 0
     return folder
 
 
-def test_the_card_tells_what_goes_in_and_out_and_how_good_it_is(bundle):
-    known = json.loads((bundle / "card.json").read_text())
-    angle = known["observation"][2]
-    assert (angle["name"], angle["unit"], angle["high"]) == ("cart.pole_angle", "rad", pytest.approx(np.radians(20)))
+def test_the_bundle_tells_what_goes_in_and_out_and_how_good_it_is(bundle):
+    known = json.loads((bundle / "bundle.json").read_text())
+    inputs = {entry["name"]: entry for entry in known["inputs"]}
+    angle, place = inputs["cart.pole_angle"], inputs["position(cart)"]
+    assert (angle["source"], angle["sensor"], angle["joints"], angle["unit"]) == ("sensor", "joint_position", ["pole_hinge"], "rad")
+    assert (place["source"], place["components"], place["unit"], place["frame"]) == ("supervisor", ["x", "y", "z"], "m", "world")
+    (wheels,) = known["outputs"]
+    assert (wheels["name"], wheels["kind"], wheels["unit"], wheels["safe"]) == ("cart.wheels", "velocity", "rad/s", [0.0] * 4)
+    assert wheels["range"] == [[-10.0] * 4, [10.0] * 4]  # of the URDF
+    assert known["action"] == [{"name": "drive", "unit": "", "low": None, "high": None, "options": known["action"][0]["options"]}]
     assert known["action"][0]["options"] == {"forward": {"drive": 1.0}, "backward": {"drive": -1.0}}
-    assert known["control_rate_hz"] == 31.25
-    assert known["result"]["episodes"] == 12
-    low, high = known["result"]["return_interval"]
-    assert low <= known["result"]["mean_return"] <= high
+    assert known["rate_hz"] == 31.25
+    assert known["evaluation"]["episodes"] == 12
+    urdf = (bundle / "inputs" / known["scenario"]["robots"]["cart"]["file"]).read_bytes()
+    assert known["scenario"]["robots"]["cart"]["digest"] == hashlib.sha256(urdf).hexdigest()
     text = (bundle / "README.md").read_text()
-    assert "| 2 | cart.pole_angle | rad | -0.349066 .. 0.349066 | -1 .. 1 | 0 |" in text
-    assert f"mean return {known['result']['mean_return']:.4g} in every episode (95 % interval, from" in text
+    assert "| cart.pole_angle | 0 | pole_hinge | rad |  | sensor (joint_position) |" in text
+    assert f"mean return {known['evaluation']['mean_return']:.4g} in every episode (95 % interval, from" in text
 
 
-def test_the_programs_of_the_readme_and_of_the_docs_run(bundle, run, monkeypatch):
+def test_the_program_of_the_readme_runs(bundle, monkeypatch):
     monkeypatch.chdir(bundle)
-    page = (Path(__file__).parents[2] / "docs" / "report.md").read_text(encoding="utf-8")
-    for text in ((bundle / "README.md").read_text(), page):
-        (code,) = re.findall(r"```python[^\n]*\n(.*?)```", text, re.DOTALL)
-        names: dict[str, object] = {}
-        exec(code, names)
-        assert np.shape(names["command"]) == (1, 1)
+    (code,) = re.findall(r"```python[^\n]*\n(.*?)```", (bundle / "README.md").read_text(), re.DOTALL)
+    names: dict[str, object] = {}
+    exec(code, names)
+    assert np.shape(names["commands"]["cart.wheels"]) == (4,)
 
 
 def test_the_bundle_drives_the_environment_as_the_policy_does(bundle, run):
-    session, policy = _session((bundle / "policy.onnx").read_bytes()), load_policy(run)
+    policy, acting = load_policy(run), deepbots_robot.load(bundle).start()
     with api.make(run / "resolved.yaml") as env:
         seen, done = env.reset(seed=1)[0], False
         while not done:
-            (action,) = session.run(["action"], {"observation": seen[None]})
-            assert action[0] == policy(seen)
-            seen, _, terminated, truncated, _ = env.step(action[0])
+            pose, velocity = env.engine.pose("cart")()[0], env.engine.velocity("cart")()[0]
+            tip = env.engine.velocity("cart", "tip")()[0]
+            (hinge,) = env.engine.joint_states("cart", ["pole_hinge"])()
+            values = {"position(cart)": pose, "velocity(cart)": velocity, "velocity(cart.tip)": tip, "cart.pole_angle": hinge[0]}
+            found = acting.step(values)
+            action = policy(seen)
+            assert found["action"] == action
+            assert found["cart.wheels"] == pytest.approx([5.0 if action == 0 else -5.0] * 4)
+            seen, _, terminated, truncated, _ = env.step(action)
             done = terminated or truncated
 
 
@@ -165,22 +162,24 @@ def test_a_bundle_that_does_not_fit_is_refused_item_by_item(bundle, capsys):
     assert capsys.readouterr().err == ""
 
 
-def _edit_card(folder: Path, **changes: object) -> None:
-    card = folder / "card.json"
-    card.write_text(json.dumps(json.loads(card.read_text()) | changes))
+def _edit(folder: Path, **changes: object) -> None:
+    path = folder / "bundle.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
 
 
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [
-        (lambda folder: (folder / "policy.onnx").write_bytes(b"other"), "not the file that was exported"),
-        (lambda folder: (folder / "policy_si.onnx").unlink(), "is missing"),
+        (lambda folder: (folder / "policy.onnx").write_bytes(b"other"), "policy.onnx is not the file that was exported"),
+        (lambda folder: (folder / "parity.npz").unlink(), "parity.npz is missing"),
         (lambda folder: (folder / "policy.onnx").rename(folder / "x") and (folder / "policy.onnx").symlink_to("x"), "no regular file"),
-        (lambda folder: _edit_card(folder, files={}), "not the file that was exported"),
-        (lambda folder: _edit_card(folder, control_period_s=float("nan")), "'control_period_s'"),
-        (lambda folder: (folder / "card.json").write_text("{"), "is damaged"),
-        (lambda folder: (folder / "card.json").write_text('{"format": 99}'), "format 99"),
-        (lambda folder: (folder / "card.json").unlink(), "is not a bundle"),
+        (lambda folder: _edit(folder, files={}), "policy.onnx is not the file that was exported"),
+        (lambda folder: _edit(folder, timestep_s=float("nan")), "bundle.json is damaged"),
+        (lambda folder: _edit(folder, rate_hz=50), "rate_hz 50 is not 1 / timestep_s 0.032"),
+        (lambda folder: _edit(folder, comment="mine"), "unknown field `comment`"),
+        (lambda folder: (folder / "bundle.json").write_text("{"), "bundle.json is damaged"),
+        (lambda folder: (folder / "bundle.json").write_text('{"format": 99}'), "format 99"),
+        (lambda folder: (folder / "bundle.json").unlink(), "is not a bundle"),
     ],
 )
 def test_a_spoiled_bundle_is_told_in_a_sentence(bundle, tmp_path, capsys, spoil, told):

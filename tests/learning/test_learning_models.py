@@ -23,7 +23,7 @@ from stable_baselines3 import PPO
 
 from deepbots_cli import api
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.insight.export import networks
+from deepbots_cli.insight.export.network import policy_graph
 from deepbots_cli.learning import TrainingResult, evaluate, learner, load_policy, resume, train
 from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.learner import steps_of
@@ -264,7 +264,7 @@ def test_weights_that_lead_to_no_finite_action_are_one_sentence(run_copy: Path) 
     refused(run_copy, "the policy gives actions that are not finite")
     run = Run.open(run_copy)
     with pytest.raises(RunError, match="the policy gives actions that are not finite"):
-        networks(load_model(run, "best", stand_in.build(run.program)), run.program)
+        policy_graph(load_model(run, "best", stand_in.build(run.program)), run.program)
 
 
 @pytest.mark.parametrize("steps", ["Infinity", "NaN", "1e999", "9" * 5000])

@@ -43,6 +43,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "Robot": {
         "transfer": ("transfer.command", "Check that a policy works in another engine or world."),
         "export": ("export.command", "Export the policy of a run as ONNX."),
+        "serve": ("serve.command", "Act for a robot by an exported policy, or simulate the robot."),
     },
     "Develop": {
         "compile": ("code.compile_", "Print the Python module that a scenario compiles to."),

@@ -1,8 +1,7 @@
-"""`deepbots export`: a policy as ONNX, and whether it fits a scenario."""
+"""`deepbots export`: a policy for a robot, and whether it fits a scenario."""
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from shlex import quote
 from typing import Annotated
@@ -21,14 +20,9 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.program import identity
 
 
-class Target(StrEnum):
-    onnx = "onnx"
-
-
 def command(
     source: Annotated[Path, typer.Argument(metavar="RUN|BUNDLE", help="A run directory, or with --check a folder that `export` wrote.")],
-    to: Annotated[Target, option("--to", "Format of the policy.")] = Target.onnx,
-    out: Annotated[Path | None, option("--output -o FOLDER", "Folder to write; by default RUN-onnx.")] = None,
+    out: Annotated[Path | None, option("--output -o FOLDER", "Folder to write; by default RUN-bundle.")] = None,
     force: Force = False,
     last: Annotated[bool, option("--last", "Export the last model instead of the best one.", ADVANCED)] = False,
     check: Annotated[str | None, option("--check SCENARIO", "Compare a bundle with a scenario, item by item; write nothing.")] = None,
@@ -36,20 +30,20 @@ def command(
     as_json: Json = False,
     allow_paths: AllowPaths = None,
 ) -> None:
-    """Export the policy of a run as ONNX.
+    """Export the policy of a run for a robot.
 
-    The bundle is a folder that runs with onnxruntime alone. policy.onnx takes an observation in the form that the environment gives, with
-    numbers scaled to -1 .. 1, and returns an action in the form that the environment takes. policy_si.onnx does the same in SI units: it
-    takes the observation without scaling, and returns the action as `command`. card.json and README.md hold names, units, ranges, the
-    control rate, the result with its interval, and versions.
+    The bundle is a folder that runs with numpy and onnxruntime alone. policy.onnx goes from what sensors measure to the commands of
+    actuators, both in SI units: it contains what the robots and the supervisor compute, scaling, histories, the networks, and the limits of
+    actuators. bundle.json and README.md hold names, units, frames, ranges, rates, ages, the result with its interval, and versions.
+    parity.npz has recorded steps, which `deepbots_robot.load` repeats.
 
     --check compares the observation, action and messages of the bundle with those of a scenario. The exit code is 0 if the policy fits,
     and 1 if it does not.
 
     \b
-      deepbots export runs/cartpole-0-1 --to onnx -o cartpole-onnx
-      deepbots export --check cartpole cartpole-onnx
-      deepbots export --check mine.yaml cartpole-onnx
+      deepbots export runs/cartpole-0-1 -o cartpole-bundle
+      deepbots export --check cartpole cartpole-bundle
+      deepbots export --check mine.yaml cartpole-bundle
 
     Next: the README.md of the bundle shows its inputs and outputs.
     """
@@ -58,34 +52,43 @@ def command(
         return
     if overrides or allow_paths:
         raise UsageError("--set and --allow-path need --check SCENARIO; a run is always exported as it was trained")
-    folder = out or Path(f"{source.resolve().name}-onnx")
+    folder = out or Path(f"{source.resolve().name}-bundle")
     check_new_folder(folder, force=force)
     run = Run.open(source)
     with terminal.transient_line("exporting the policy ..."):
-        from deepbots_cli.insight import card  # torch, which exporting imports, takes a second
+        from deepbots_cli.insight.export import bundle  # torch, which exporting imports, takes a second
 
-        files = card.bundle_files(run, "last" if last else "best")
+        files = bundle.bundle_files(run, "last" if last else "best")
+    from deepbots_robot.model import plain
+
     write_new(files, folder, force=force)
-    known = card.read_card(folder)
+    info = bundle.read_bundle(folder)
     sizes = [f"{name} ({len(content) / 1000:,.0f} kB)" for name, content in files.items() if len(name.parts) == 1]
-    text = f"{folder}: {', '.join(sizes)}, and the robot files of the scenario\n  {known.scenario}, {known.algorithm}: {known.result_text}"
-    if known.result is None and not last and not as_json:
-        terminal.note(f"evaluate the run first for a result in the card: deepbots eval {quote(str(source))}")
+    result = "not evaluated since the end of the training" if info.evaluation is None else info.evaluation.text
+    told = [
+        f"{folder}: {', '.join(sizes)}, and the robot files of the scenario",
+        f"  {info.scenario.name}, {info.training.algorithm}: {result}",
+    ]
+    missing = [entry.name for entry in info.inputs if entry.source == "supervisor" and entry.supplied_by is None]
+    if missing and not as_json:
+        terminal.note(f"no robot measures {', '.join(missing)}; README.md of the bundle says what must supply them")
+    if info.evaluation is None and not last and not as_json:
+        terminal.note(f"evaluate the run first for a result in the bundle: deepbots eval {quote(str(source))}")
     next_commands = [f"deepbots export --check SCENARIO {quote(str(folder))}"]
-    terminal.show({"bundle": folder, **known.model_dump(mode="json")}, text, as_json=as_json, next_commands=next_commands)
+    terminal.show({"bundle": folder, **plain(info)}, "\n".join(told), as_json=as_json, next_commands=next_commands)
 
 
 def _check(folder: Path, scenario: str, overrides: list[str] | tuple[()], permissions: Permissions, *, as_json: bool, writes: bool) -> None:
-    from deepbots_cli.insight import card
+    from deepbots_cli.insight.export import bundle
 
     if writes:
         raise UsageError("--check writes nothing; leave out --output and --last")
-    known = card.read_card(folder)
+    known = bundle.read_bundle(folder)
     compiled = api.compile(scenario, overrides=overrides, permissions=permissions)
     words = ("bundle", "scenario")
-    differ = identity.compare_interfaces(known.interface, identity.interface(compiled.program), words=words)
+    differ = identity.compare_interfaces(known.scenario.interface, identity.interface(compiled.program), words=words)
     given = "".join(f" --set {quote(text)}" for text in overrides)
-    remarks = card.remarks(known, compiled.program, f"deepbots diff {quote(str(folder / 'scenario.yaml'))} {quote(scenario)}{given}")
+    remarks = bundle.remarks(known, compiled.program, f"deepbots diff {quote(str(folder / 'scenario.yaml'))} {quote(scenario)}{given}")
     verdict = f"the policy in {folder} does not fit {scenario}:" if differ else f"the policy in {folder} fits {scenario}"
     data = {"bundle": folder, "scenario": scenario, "fits": not differ, "differences": differ, "remarks": remarks}
     terminal.show(data, verdict, *(f"  {line}" for line in differ), as_json=as_json)

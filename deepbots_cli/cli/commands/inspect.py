@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -21,6 +21,8 @@ from deepbots_cli.document import MappingNode, Permissions, shipped
 from deepbots_cli.document.load import with_settings_at
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError
 from deepbots_cli.program import Program
+from deepbots_cli.program.topics import mapping
+from deepbots_robot.topics import Topic
 
 if TYPE_CHECKING:
     pass
@@ -51,6 +53,7 @@ def command(
     stage: Stage = None,
     engine: EngineOrRun = None,
     full: Annotated[bool, option("--full", "Show all tables, also joints, sensors, timing, resets and hyperparameters.")] = False,
+    ros: Annotated[bool, option("--ros", "Print the section `ros`: a ROS 2 topic for each sensor and each command.")] = False,
     as_json: Annotated[bool, option("--json", "Print all tables as JSON.")] = False,
     permissions: Permissions = Permissions(),
 ) -> None:
@@ -66,6 +69,7 @@ def command(
       deepbots inspect cartpole --full
       deepbots inspect cartpole --full --set messages.timing=delayed
       deepbots inspect find_ball_random --stage few
+      deepbots inspect quadruped --ros
       deepbots inspect runs/cartpole-0-1
       deepbots inspect package://pybullet_data/husky/husky.urdf
 
@@ -77,6 +81,10 @@ def command(
     side = open_source(scenario, overrides or (), permissions, engine)
     terminal.note_warnings(side.findings, scenario)
     program = side.program.variant(case, stage)
+    if ros:
+        found = mapping(program)
+        terminal.show(found, _ros_text(found), as_json=as_json)
+        return
     root = side.root if isinstance(side.root, MappingNode) else MappingNode(Span(Source(scenario, ""), 0, 0), {})
     if case is not None:
         root = with_settings_at(root, ("evaluation", "cases", case))
@@ -89,6 +97,12 @@ def command(
     terminal.show(tables, *_lines(shown), as_json=as_json)
     if len(shown) < len(tables) and not as_json:
         terminal.note(f"--full also shows: {', '.join(name.replace('_', ' ') for name in tables if name not in shown)}")
+
+
+def _ros_text(topics: Mapping[str, Topic]) -> str:
+    """The section `ros` of a scenario."""
+    parts = {name: "" if topic.part is None else f", part: {topic.part}" for name, topic in topics.items()}
+    return "\n".join(["ros:", *(f"  {name}: {{topic: {topic.name}, type: {topic.type}{parts[name]}}}" for name, topic in topics.items())])
 
 
 def _poses(program: Program, engine: str | None, permissions: Permissions) -> inspection.Tables:

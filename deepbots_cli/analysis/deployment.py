@@ -1,0 +1,110 @@
+"""What a policy needs on a real robot: which readings of the world no robot measures, and under which names.
+
+A reading is called as the scenario would write it, with a robot for its root link: `position(cart)`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+
+from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, walk
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Robot, Sensor
+from deepbots_cli.program.values import Expression
+
+_OF_CHANNEL = frozenset({"age", "message_received"})
+
+
+def reading_key(text: str) -> str:
+    """The name of a reading without the spaces that a person may write."""
+    return re.sub(r"\s+", "", text).replace(",", ", ")
+
+
+class Deployment:
+    """The readings of the world behind the observation, the masks and the commands of a policy."""
+
+    def __init__(self, program: Program) -> None:
+        self._program = program
+        self._signals = {signal.name: signal for signal in program.signals}
+        self._parameters = {value.name for value in program.parameters}
+        self._fields = {f"{robot.name}.{entry.name}": (robot, entry) for robot in program.robots for entry in robot.emitted}
+        self._roots = {f"{body.name}.{body.model.root}": body.name for body in program.world.robots}
+        self.joints = {f"{body.name}.{joint.name}": joint for body in program.world.robots for joint in body.model.joints}
+
+    @cached_property
+    def sensed(self) -> Mapping[EngineRead, tuple[Robot, Sensor, int]]:
+        """The readings that are a component of a sensor without faults: robot, sensor and the index of the component."""
+        found: dict[EngineRead, tuple[Robot, Sensor, int]] = {}
+        for robot in self._program.robots:
+            for sensor in robot.sensors if self._program.is_direct(robot, "from_robot") else ():
+                for index, component in enumerate(sensor.components or (None,)):
+                    if sensor.is_direct:
+                        found.setdefault(sensor.world_value(robot.name, component), (robot, sensor, index))
+        return found
+
+    def subjects(self, read: EngineRead) -> tuple[str, ...]:
+        """The parts of the world that a reading is about; a robot for its root link."""
+        return tuple(self._roots.get(subject, subject) for subject in read.subjects)
+
+    def name(self, read: EngineRead) -> str:
+        """The name of a reading, without its component."""
+        return f"{read.function}({', '.join(self.subjects(read))})"
+
+    def is_measured(self, read: EngineRead) -> bool:
+        """Whether the robot measures it: the age of its messages, or a joint of which it has a sensor of this kind."""
+        if read.function in _OF_CHANNEL or read in self.sensed:
+            return True
+        joint = self.joints.get(read.subjects[0])
+        robot = next((robot for robot in self._program.robots if robot.name == read.subjects[0].partition(".")[0]), None)
+        sensors = robot.sensors if robot is not None and joint is not None else ()
+        return any(sensor.kind == read.function and joint is not None and joint.name in sensor.subjects for sensor in sensors)
+
+    @cached_property
+    def unmeasured(self) -> tuple[str, ...]:
+        """The readings that a tracker or an estimator must supply, in order of first use."""
+        return tuple(dict.fromkeys(self.name(read) for read in self._leaves if isinstance(read, EngineRead) and not self.is_measured(read)))
+
+    @cached_property
+    def goals(self) -> tuple[str, ...]:
+        """The parameters that somebody must set."""
+        return tuple(dict.fromkeys(leaf.name for leaf in self._leaves if isinstance(leaf, Name) and leaf.name in self._parameters))
+
+    @cached_property
+    def _leaves(self) -> tuple[Name | EngineRead, ...]:
+        """The names and readings that a policy and its robots need, through all definitions."""
+        return tuple(self._of([*self._needed()], set()))
+
+    def _needed(self) -> Iterator[Scalar]:
+        agent = self._program.agent
+        for entry in agent.observation:
+            yield from entry.value.scalars
+        if agent.goal is not None:
+            yield from (*agent.goal.achieved.scalars, *agent.goal.targets)
+        for part in agent.choices:
+            yield from (option.forbidden.scalar for option in part.options if option.forbidden is not None)
+        for robot in self._program.robots:
+            if robot.name in agent.robots:
+                own = {sensor.name for sensor in robot.sensors}
+                sent = {entry.name: entry for entry in robot.receive}
+                leaves = [leaf for command in robot.commands for tree in command.scalars for leaf in walk(tree)]
+                received = [sent[leaf.name] for leaf in leaves if isinstance(leaf, Name) and leaf.name in sent and leaf.name not in own]
+                for value in dict.fromkeys(received):
+                    yield from value.scalars
+
+    def _of(self, trees: list[Scalar], seen: set[str]) -> Iterator[Name | EngineRead]:
+        for tree in trees:
+            for leaf in walk(tree):
+                if isinstance(leaf, EngineRead):
+                    yield leaf
+                elif isinstance(leaf, Name):
+                    yield leaf
+                    if leaf.name not in seen:
+                        seen.add(leaf.name)
+                        yield from self._of(self._defined(leaf.name), seen)
+
+    def _defined(self, name: str) -> list[Scalar]:
+        """The trees behind a name; those of a robot's own values hold its sensors, which it measures."""
+        signal: Expression | None = self._signals.get(name)
+        return [] if signal is None else [*signal.scalars]

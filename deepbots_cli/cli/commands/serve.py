@@ -1,0 +1,136 @@
+"""`deepbots serve`: the policy of a bundle acts for a robot, or a simulation stands in for the robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.command import EPISODES, Engine, Json, Overrides, integer, option
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import MissingExtraError, UsageError
+
+if TYPE_CHECKING:
+    from deepbots_cli.insight.robot import SimulatedRobot
+    from deepbots_cli.rollout import Episode
+    from deepbots_robot.serving import Transport
+
+_LINK = "Link"
+
+
+def command(
+    source: Annotated[str, typer.Argument(metavar="BUNDLE|SCENARIO", help="A bundle of `export`, or with --as-robot a scenario or a run.")],
+    as_robot: Annotated[bool, option("--as-robot", "Simulate the robot of a scenario: send its sensors and obey commands.")] = False,
+    ros: Annotated[bool, option("--ros", "Use ROS 2 topics, by Cyclone DDS; this is the default.", _LINK)] = False,
+    zmq: Annotated[
+        str | None, option("--zmq ADDRESS", "Use ZeroMQ at an address such as tcp://127.0.0.1:5555; the policy binds it.", _LINK)
+    ] = None,
+    interface: Annotated[
+        str | None, option("--interface NAME", "Network interface of ROS 2; by default the loopback interface.", _LINK)
+    ] = None,
+    domain: Annotated[int, integer("--domain N", "Domain of ROS 2, as ROS_DOMAIN_ID.", 0, 232, _LINK)] = 0,
+    lockstep: Annotated[
+        bool,
+        option(
+            "--lockstep", "Let the simulated robot wait for each command; give the option on both sides. The time of day does not count."
+        ),
+    ] = False,
+    speed: Annotated[float, option("--speed X", "Seconds of the robot in one second, the same on both sides.")] = 1.0,
+    seconds: Annotated[float | None, option("--seconds X", "End after this time; by default at Ctrl-C. Not with --as-robot.")] = None,
+    log: Annotated[Path | None, option("--log FILE", "Write an MCAP log of values and commands. Not with --as-robot.")] = None,
+    episodes: Annotated[int | None, integer("--episodes N", "End after N episodes; by default at Ctrl-C.", group=EPISODES)] = None,
+    seed: Annotated[
+        int, integer("--seed N", "Root seed; the episodes start as those of an evaluation with this seed.", 0, group=EPISODES)
+    ] = 0,
+    overrides: Overrides = None,
+    engine: Engine = None,
+    as_json: Json = False,
+    permissions: Permissions = Permissions(),
+) -> None:
+    """Act for a robot by the policy of a bundle, or simulate the robot.
+
+    The policy gets what sensors measure over ROS 2 or ZeroMQ and answers with commands, both in SI units, at the rate of the bundle. Every
+    message is checked: layout, finite numbers, range, age and order. Commands are kept within the limits of the actuators. On silence, and
+    after a wrong message, the robot gets the safe posture of the bundle. At the end there is a table of answer times and refused messages.
+    `python -m deepbots_robot BUNDLE` does the same where deepbots is not installed.
+
+    With --as-robot, a simulation of the scenario is the robot: it sends its sensors and obeys commands in real time, episode after
+    episode. ROS 2 topics are those of the section `ros` of the scenario, or of `deepbots inspect SCENARIO --ros`.
+
+    \b
+      deepbots export runs/cartpole-0-1 -o cartpole-bundle
+      deepbots serve cartpole-bundle                                    one terminal
+      deepbots serve cartpole --as-robot --episodes 10                  another terminal
+      deepbots serve cartpole-bundle --zmq tcp://127.0.0.1:5555 --log robot.mcap
+      deepbots serve cartpole --as-robot --zmq tcp://127.0.0.1:5555 --lockstep
+
+    Next: Ctrl-C ends both.
+    """
+    if ros and zmq is not None:
+        raise UsageError("--ros and --zmq are two links; choose one")
+    if zmq is not None and (interface is not None or domain):
+        raise UsageError("--interface and --domain belong to ROS 2; leave them out with --zmq")
+    if not 0.0 < speed <= 1000.0:
+        raise UsageError(f"--speed {speed:g}: write a number above 0, at most 1000")
+    try:
+        from deepbots_robot.serving import Transport
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("robot", "serving a policy") from error
+    transport = Transport(zmq, interface, domain)
+    if not as_robot:
+        if episodes is not None or seed or overrides or engine or permissions != Permissions():
+            raise UsageError(
+                "--episodes, --seed, --set, --engine and --allow-... belong to a simulated robot; add --as-robot or leave them out"
+            )
+        _serve_policy(Path(source), transport, speed=speed, lockstep=lockstep, log=log, seconds=seconds, as_json=as_json)
+        return
+    if log is not None or seconds is not None:
+        raise UsageError("--log and --seconds belong to the policy; leave them out with --as-robot")
+    from deepbots_cli.cli.sources import open_source
+    from deepbots_cli.insight.robot import serve_robot
+
+    side = open_source(source, overrides or (), permissions, engine)
+    engine = engine or (side.run.engine_for(side.program) if side.run else None)
+    settings: dict[str, Any] = {"episodes": episodes, "seed": seed, "engine": engine, "permissions": permissions}
+    running = serve_robot(side.program, transport, lockstep=lockstep, speed=speed, **settings)
+    _simulate(side.program.name, running, as_json=as_json, success=side.program.defines_success)
+
+
+def _serve_policy(folder: Path, transport: Transport, *, as_json: bool, **settings: Any) -> None:
+    from deepbots_robot.bundle import load
+    from deepbots_robot.model import BundleError
+    from deepbots_robot.server import report_lines
+    from deepbots_robot.serving import ServeError, serve
+
+    if (folder / "run.json").is_file():
+        raise UsageError(f"{folder} is a run; export it first: deepbots export {folder}")
+    try:
+        report = serve(load(folder), transport, note=terminal.note, **settings)
+    except (BundleError, ServeError) as error:
+        raise UsageError(str(error)) from None
+    terminal.show(report, *report_lines(report), as_json=as_json)
+
+
+def _simulate(name: str, running: Any, *, as_json: bool, success: bool) -> None:
+    """Show each episode, and at the end what all of them were like."""
+    done: list[Episode] = []
+    robots: list[SimulatedRobot] = []
+    terminal.note(f"{name} waits for a policy")
+    try:
+        for episode, robot in running:
+            done.append(episode)
+            robots = [robot]
+            ending = f"{'success' if episode.is_success else 'no success'}, " if success else ""
+            terminal.note(
+                f"episode {len(done) - 1}: {ending}{episode.ended_by} after {episode.length} steps, return {episode.total_return:.6g}"
+            )
+    except KeyboardInterrupt:
+        terminal.note("interrupted")
+    if not done:
+        return
+    from deepbots_cli.insight.robot import report, report_lines
+
+    found = report(done, robots[0], success_defined=success)
+    terminal.show(found, *report_lines(found), as_json=as_json)

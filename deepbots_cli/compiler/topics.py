@@ -1,0 +1,45 @@
+"""The section `ros`: the topics of sensors and actuators, checked against the messages of ROS 2."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from deepbots_cli.compiler.namespace import Namespace
+from deepbots_cli.program import Program
+from deepbots_cli.program.topics import command_fields, mapping, sensor_fields
+from deepbots_robot.topics import Field, Topic, conflicts, part_of
+
+
+def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
+    """The topics that the scenario gives, by sensor and actuator; findings for those that do not fit."""
+    values, spec = namespace.values, namespace.scenario
+    if not spec.ros:
+        return {}
+    sensors = {field.name: field for field in sensor_fields(program)}
+    fields = {**{field.name: field for field in command_fields(program)}, **sensors}
+    found: dict[str, tuple[Field, Topic]] = {}
+    for name, given in spec.ros.items():
+        field = fields.get(name)
+        if field is None:
+            values.report_unknown(values.key_span(("ros", name)), "sensor or actuator", name, list(fields))
+            continue
+        topic = Topic(given.topic, given.type, given.part)
+        try:
+            part_of(field, topic)
+        except ValueError as error:
+            help = "choose another type, or another `part`; `deepbots inspect SCENARIO --ros` prints types that fit"
+            values.add("DB321", ("ros", name, "type" if given.part is None else "part"), str(error), help)
+        else:
+            found[name] = (field, topic)
+    first = mapping(replace(program, ros={}))
+    every = {name: (field, first[name]) for name, field in fields.items() if name in first and name not in spec.ros} | found
+    problems = conflicts(every)
+    measured = {topic.name for name, (_, topic) in every.items() if name in sensors}
+    commanded = {topic.name for name, (_, topic) in every.items() if name not in sensors}
+    for name, (_, given_topic) in found.items():
+        if given_topic.name in measured & commanded:
+            headline = f"the topic {given_topic.name} carries sensors and commands"
+            values.add_at_key("DB321", ("ros", name), headline, "use topics of their own for commands")
+        elif name in problems:
+            values.add_at_key("DB321", ("ros", name), problems[name], "use another topic")
+    return {name: topic for name, (_, topic) in found.items()}

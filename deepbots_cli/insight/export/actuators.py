@@ -1,0 +1,109 @@
+"""The outputs of an exported policy: the command of each actuator with its limits and its safe posture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from deepbots_cli.insight.export.readings import finite, unit_text
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Actuator, Cartesian, Command, CustomActuator, Motor, Robot, Thrust
+from deepbots_cli.robots.model import Joint
+from deepbots_robot.model import Output
+
+_KINDS = {"velocity_motor": "velocity", "position_motor": "position", "torque_motor": "effort"}
+_UNITS = {"velocity": ("rad/s", "m/s"), "position": ("rad", "m"), "effort": ("N*m", "N")}
+"""Units for revolute and for prismatic joints."""
+
+
+def output(program: Program, robot: Robot, command: Command) -> Output:
+    """The command of an actuator."""
+    actuator = command.actuator
+    model = next(body.model for body in program.world.robots if body.name == robot.name)
+    joints = [joint for name in getattr(actuator, "joints", ()) for joint in model.joints if joint.name == name]
+    kind = _KINDS[actuator.kind] if isinstance(actuator, Motor) else _kind(actuator)
+    count = len(command.components)
+    limits = _limits(actuator, kind, joints, count)
+    low, high = (tuple(finite(end) for end in ends) for ends in zip(*_within(command, limits), strict=True))
+    return Output(
+        name=f"{robot.name}.{command.name}",
+        robot=robot.name,
+        actuator=command.name,
+        kind=kind,
+        joints=tuple(joint.name for joint in joints),
+        links=actuator.links if isinstance(actuator, Thrust) else (actuator.link,) if isinstance(actuator, Cartesian) else (),
+        shape=(count,),
+        dtype="float64",
+        components=tuple(command.components),
+        unit=_unit(command, kind, joints),
+        frame="world" if kind == "cartesian" else None,
+        range=(low, high),
+        max_rate=_rates(actuator, count),
+        max_effort=() if isinstance(actuator, Thrust) else tuple(map(finite, actuator.max_torque)),
+        stiffness=actuator.stiffness if isinstance(actuator, Motor) else None,
+        damping=actuator.damping if isinstance(actuator, Motor) else None,
+        attitude=actuator.rpy if isinstance(actuator, Cartesian) else None,
+        safe=tuple(_safe(kind, *ends) for ends in zip(low, high, strict=True)),
+    )
+
+
+def _kind(actuator: Actuator) -> str:
+    return "thrust" if isinstance(actuator, Thrust) else "cartesian" if isinstance(actuator, Cartesian) else getattr(actuator, "kind", "")
+
+
+def _unit(command: Command, kind: str, joints: Sequence[Joint]) -> str:
+    match kind:
+        case "thrust":
+            return "N"
+        case "cartesian":
+            return "m"
+        case "velocity" | "position" | "effort":
+            return _UNITS[kind][joints[0].type == "prismatic"]
+    return unit_text(command.target.typed.type.dimension)
+
+
+def _limits(actuator: Actuator, kind: str, joints: Sequence[Joint], count: int) -> list[tuple[float, float]]:
+    """The limits of the actuator for each component."""
+    match actuator:
+        case Motor() if kind == "position":
+            return [(_or(joint.limit.lower, -math.inf), _or(joint.limit.upper, math.inf)) for joint in joints]
+        case Motor():
+            ends = actuator.max_velocity if kind == "velocity" else actuator.max_torque
+            return [(-_or(end, math.inf), _or(end, math.inf)) for end in ends]
+        case Thrust(low=low, high=high):
+            return [(low, high)] * count
+        case CustomActuator(low=low, high=high):
+            return [(_or(low, -math.inf), _or(high, math.inf))] * count
+    return [(-math.inf, math.inf)] * count
+
+
+def _or(number: float | None, other: float) -> float:
+    return other if number is None else number
+
+
+def _within(command: Command, limits: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """The limits; where there is none, the most that the scenario commands."""
+    known = command.target.typed.type
+    components = known.components or (None,) * len(limits)
+    found = []
+    for (low, high), component in zip(limits, components, strict=False):
+        reach = known.interval_of(component)
+        ends = sorted(command.opening) if command.opening else (reach.low, reach.high)
+        found.append((low if math.isfinite(low) else min(ends[0], high), high if math.isfinite(high) else max(ends[1], low)))
+    return found
+
+
+def _rates(actuator: Actuator, count: int) -> tuple[float | None, ...]:
+    match actuator:
+        case Motor(kind="velocity_motor"):
+            return (actuator.max_acceleration,) * count
+        case Motor(kind="position_motor"):
+            return tuple(map(finite, actuator.max_velocity))
+    return (None,) * count
+
+
+def _safe(kind: str, low: float | None, high: float | None) -> float | None:
+    """Standing still: no speed, torque or thrust; joints and links stay where they were commanded."""
+    if kind not in ("velocity", "effort", "thrust"):
+        return None
+    return min(max(0.0, 0.0 if low is None else low), math.inf if high is None else high)

@@ -1,0 +1,196 @@
+"""The bundle of an exported policy, and whether it fits a scenario.
+
+policy.onnx     what sensors measure in, the commands of actuators out, in SI units
+bundle.json     its inputs and outputs, in order: units, frames, ranges, rates, ages, limits; the result with its interval, versions
+parity.npz      recorded steps, which `deepbots_robot.load` repeats
+README.md       the same for people
+scenario.yaml   the scenario, which defines the names; its robot files are in the folder inputs
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+from collections.abc import Collection
+from pathlib import Path, PurePath, PurePosixPath
+from typing import TYPE_CHECKING
+
+import deepbots_cli
+from deepbots_cli import api
+from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import MissingExtraError, RunError
+from deepbots_cli.insight.templates import render_template
+from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.learning.verdict import RunVerdict, run_verdict
+from deepbots_cli.program import Program, identity, topics
+from deepbots_cli.program.task import ActionRange
+from deepbots_cli.rollout.source import Source, SourceKind
+
+if TYPE_CHECKING:
+    from deepbots_cli.insight.export.control import ControlStep
+    from deepbots_robot.model import ActionPart, BundleInfo, RobotFile, RosTopic
+
+_LICENSE = re.compile(r"SPDX-License-Identifier:\s*([A-Za-z0-9][\w.+() -]*)")
+
+
+def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
+    """The files of the bundle of a run. A simulation of some hundred steps checks that it commands what the scenario does.
+
+    Raises:
+        MissingExtraError: onnx, onnxruntime or what learns is not installed.
+        RunError: There is no such model, or it is damaged.
+        UsageError: The scenario or the policy cannot be exported.
+    """
+    try:
+        import msgspec
+
+        from deepbots_cli.insight.export.control import ControlStep
+        from deepbots_cli.insight.export.network import policy_graph
+        from deepbots_cli.insight.export.parity import recorded_parity
+        from deepbots_cli.learning import policy
+        from deepbots_cli.learning.sb3.algorithms import torch_settings
+        from deepbots_robot import bundle, model
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("export", "exporting a policy") from error
+    learner = policy.loaded(run, name)
+    policy_graph(learner, run.program)  # compares the networks with those of the learner on random observations
+    step = ControlStep(run.program, learner)
+    info = _info(run, name, step)
+    graph = step.model({bundle.METADATA_KEY: bundle.description_digest(info)})
+    with torch_settings():
+        parity = recorded_parity(bundle.Bundle(info, graph), step, learner, engine=run.engine_for(run.program))
+    files = {bundle.GRAPH_NAME: graph, bundle.PARITY_NAME: parity}
+    info = msgspec.structs.replace(info, files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()})
+    readme = render_template("export/bundle.md.j2", info=info)
+    # The scenario names the copies of its robot files; the YAML files that it was put together from are in it.
+    robots = [name for name in run.record.inputs if not name.endswith((".yaml", ".yml"))]
+    files |= {
+        bundle.BUNDLE_NAME: model.encode(info),
+        "README.md": readme.encode(),
+        "scenario.yaml": (run.path / RESOLVED_NAME).read_bytes(),
+        **{f"{INPUTS_FOLDER}/{name}": (run.path / INPUTS_FOLDER / name).read_bytes() for name in robots},
+    }
+    return {PurePosixPath(name): content for name, content in files.items()}
+
+
+def _info(run: Run, name: ModelName, step: ControlStep) -> BundleInfo:
+    """What bundle.json says, without the digests of the files."""
+    from deepbots_cli.learning.learner import steps_of
+    from deepbots_robot import model
+
+    program, record = run.program, run.record
+    verdict = run_verdict(run.path, record) if name == "best" else RunVerdict(None, None)
+    result = verdict.evaluation
+    evaluation = None
+    if result is not None:
+        known = {key: getattr(result, key) for key in model.Evaluation.__struct_fields__ if key not in ("text", "solved")}
+        evaluation = model.Evaluation(text=verdict.text, solved=verdict.solved, **known)
+    return model.BundleInfo(
+        format=model.FORMAT,
+        deepbots=deepbots_cli.__version__,
+        scenario=model.Scenario(
+            name=program.name,
+            summary=program.summary,
+            digest=run.digest,
+            task_digest=identity.task_digest(program),
+            robots=_robot_files(run),
+            interface={agent: dict(items) for agent, items in identity.interface(program).items()},
+            licenses=_licenses(run.path / INPUTS_FOLDER),
+        ),
+        training=model.Training(
+            algorithm=program.agent.training.algorithm if program.agent.training else "",
+            model=name,
+            seed=record.seed,
+            steps=steps_of(run.model(name)),
+            engine=record.engine,
+            versions=dict(record.versions),
+        ),
+        rate_hz=round(1.0 / program.period, 9),
+        timestep_s=program.period,
+        inputs=tuple(reading.info for reading in step.readings.values()),
+        memory=tuple(step.memories),
+        outputs=tuple(step.outputs),
+        action=tuple(_action_parts(program)),
+        files={},
+        evaluation=evaluation,
+        ros=_topics(program, {*step.readings, *(output.name for output in step.outputs)}),
+    )
+
+
+def _topics(program: Program, names: Collection[str]) -> dict[str, RosTopic]:
+    """The ROS 2 topics of these inputs and outputs; readings of the world have the first ones that fit."""
+    from deepbots_robot.model import RosTopic
+
+    return {
+        name: RosTopic(topic=topic.name, type=topic.type, part=topic.part)
+        for name, topic in topics.mapping(program).items()
+        if name in names
+    }
+
+
+def _action_parts(program: Program) -> list[ActionPart]:
+    from deepbots_robot.model import ActionPart
+
+    found = []
+    for part in program.agent.action:
+        if isinstance(part, ActionRange):
+            found += [ActionPart(name=name, unit=part.unit.removeprefix("1"), low=part.low, high=part.high) for name in part.names]
+        else:
+            options = {option.name: dict(zip(part.variables, map(float, option.values), strict=True)) for option in part.options}
+            found.append(ActionPart(name=part.name, options=options))
+    return found
+
+
+def _robot_files(run: Run) -> dict[str, RobotFile]:
+    """The file of each robot with its digest."""
+    from deepbots_robot.model import RobotFile
+
+    spec = api.load(Source.open(run.path, Permissions(), SourceKind.RUN)).spec
+    found = {}
+    for name, robot in (spec.robots if spec is not None else {}).items():
+        file = PurePath(str(robot.urdf)).relative_to(INPUTS_FOLDER).as_posix()
+        found[name] = RobotFile(file=file, digest=hashlib.sha256((run.path / INPUTS_FOLDER / file).read_bytes()).hexdigest())
+    return found
+
+
+def _licenses(inputs: Path) -> dict[str, str]:
+    """The SPDX identifiers in the scenario and robot files of a run, by file."""
+    found = {}
+    for path in sorted(inputs.rglob("*")):
+        if path.suffix in (".yaml", ".urdf", ".xacro") and (match := _LICENSE.search(path.read_text("utf-8", errors="replace"))):
+            found[path.relative_to(inputs).as_posix()] = match[1].strip(" -")
+    return found
+
+
+# Whether it fits
+
+
+def read_bundle(folder: Path) -> BundleInfo:
+    """The bundle.json of a bundle that passes all checks of `deepbots_robot.load`.
+
+    Raises:
+        MissingExtraError: onnxruntime is not installed.
+        RunError: The folder is no bundle, or one of its files is damaged, of another format or not the one that was exported.
+    """
+    try:
+        import deepbots_robot
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("robot", "reading a bundle") from error
+    try:
+        return deepbots_robot.load(folder).info
+    except deepbots_robot.BundleError as error:
+        raise RunError(str(error)) from error
+
+
+def remarks(info: BundleInfo, program: Program, diff: str) -> list[str]:
+    """Differences of a scenario that the policy fits, one sentence each; `diff` is the command that shows all differences."""
+    found = []
+    if not math.isclose(info.timestep_s, program.period):
+        found.append(
+            f"the policy was trained with an action every {info.timestep_s:g} s, but the scenario has one every {program.period:g} s"
+        )
+    if info.scenario.task_digest != identity.task_digest(program):
+        found.append(f"rewards, endings, starts or the world differ from the training; to see the differences, run: {diff}")
+    return found

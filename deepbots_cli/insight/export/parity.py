@@ -1,0 +1,178 @@
+"""Whether an exported policy acts as the scenario does, and the steps by which every robot checks this again.
+
+The first steps are those of a simulation: what the graph commands is compared with what the robots of the simulation applied. Further steps
+have random inputs around the first ones, so that parts of the networks count that no episode uses.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.insight.export.control import ControlStep
+from deepbots_cli.insight.export.recording import RecordedStep, recorded_steps
+from deepbots_cli.learning.learner import Learner
+from deepbots_cli.rollout.policies import PolicyDriver
+from deepbots_robot.bundle import TOLERANCE, Bundle, span_of
+from deepbots_robot.model import Input, Output
+
+RECORDED, RANDOM = 200, 200
+"""Steps of each kind."""
+_TRIES = 10
+"""At most so many times as many steps are looked at."""
+_RANDOM_EPISODE = 10
+_WIDTHS = (1.0, 3.0, 30.0)
+"""How wide random values are drawn, in widths of the recorded ones: within the range that the policy sees, and where it is clipped."""
+_CLEAR = 10 * TOLERANCE
+"""The least distance of the two best scores of a recorded step; closer ones might change places on another processor."""
+
+Array = NDArray[Any]
+
+
+class Comparison:
+    """A bundle beside a simulation, step by step.
+
+    Attributes:
+        steps: How many steps were compared.
+        worst: The largest difference of a command, in shares of its range.
+    """
+
+    def __init__(self, bundle: Bundle) -> None:
+        self._info = bundle.info
+        self._policy = bundle.start()
+        self._spans = {output.name: span_of(output) for output in bundle.info.outputs}
+        self._parted = False
+        self.steps, self.worst = 0, 0.0
+
+    def add(self, step: RecordedStep) -> dict[str, Array]:
+        """What the bundle returns for the inputs of a step.
+
+        Raises:
+            UsageError: It commands something else than the robots of the simulation applied, although no two options were equally good.
+        """
+        if step.first:
+            self._policy.reset()
+            self._parted = False
+        found = self._policy.step(step.inputs)
+        choices = self._info.choices
+        if choices and not np.array_equal(found["action"], step.action) and least_gap(choices, found) <= TOLERANCE:
+            self._parted = True
+        if self._parted:  # the memory of one of the two holds another action
+            return found
+        for output in self._info.outputs:
+            wanted = clipped(step.commands[output.name], output)
+            apart = float(np.max(np.abs(found[output.name] - wanted) / self._spans[output.name]))
+            self.worst = max(self.worst, apart)
+            if not apart <= TOLERANCE:  # also where it is no number
+                numbers = f"{found[output.name].tolist()} instead of {wanted.tolist()}"
+                raise UsageError(f"the exported policy commands '{output.name}' otherwise than the scenario: {numbers}; please report this")
+        self.steps += 1
+        return found
+
+
+def clipped(command: Array, output: Output) -> Array:
+    """A command within the limits of its actuator."""
+    low, high = output.range
+    return np.clip(command, [-np.inf if x is None else x for x in low], [np.inf if x is None else x for x in high])
+
+
+def least_gap(choices: tuple[int, ...], found: Mapping[str, Array]) -> float:
+    """The smallest distance between the two best scores of a choice; infinite without choices."""
+    if not choices:
+        return np.inf
+    best = [np.sort(scores)[-2:] for scores in np.split(found["scores"], np.cumsum(choices)[:-1]) if len(scores) > 1]
+    return min((float(pair[1] - pair[0]) for pair in best), default=np.inf)
+
+
+def recorded_parity(bundle: Bundle, step: ControlStep, learner: Learner, *, engine: str | None) -> bytes:
+    """The content of parity.npz.
+
+    Raises:
+        UsageError: The bundle commands something else than the robots of the simulation applied.
+    """
+    rows, comparison = _Rows(bundle), Comparison(bundle)
+    recorded = recorded_steps(
+        step.program, [*step.readings.values()], step.outputs, lambda world: PolicyDriver(learner, world), engine=engine
+    )
+    for number, each in enumerate(recorded):
+        rows.add(each.first, each.inputs, comparison.add(each))
+        if rows.count == RECORDED or number == _TRIES * RECORDED:
+            break
+    recorded.close()
+    if rows.count == 0:
+        raise UsageError("the scores of the options are equal in every step, so that no step can be recorded; train the policy first")
+    _add_random_steps(bundle, rows)
+    return rows.content()
+
+
+class _Rows:
+    """The recorded steps. An episode is cut where two options are equally good, or a command is no number."""
+
+    def __init__(self, bundle: Bundle) -> None:
+        self._choices = bundle.info.choices
+        self._inputs: list[Mapping[str, Array]] = []
+        self._outputs: list[Mapping[str, Array]] = []
+        self._starts: list[int] = []
+        self._is_open = False
+
+    @property
+    def count(self) -> int:
+        return len(self._inputs)
+
+    @property
+    def inputs(self) -> dict[str, Array]:
+        return _stacked(self._inputs)
+
+    def add(self, first: bool, inputs: Mapping[str, Array], outputs: Mapping[str, Array]) -> None:
+        if first:
+            self._is_open = True
+        finite = all(np.isfinite(value).all() for value in outputs.values())
+        self._is_open = self._is_open and finite and least_gap(self._choices, outputs) > _CLEAR
+        if self._is_open:
+            if first:
+                self._starts.append(self.count)
+            self._inputs.append(inputs)
+            self._outputs.append(outputs)
+
+    def content(self) -> bytes:
+        arrays = {f"input/{name}": rows for name, rows in self.inputs.items()}
+        arrays |= {f"output/{name}": rows for name, rows in _stacked(self._outputs).items()}
+        stream = io.BytesIO()
+        np.savez_compressed(stream, **arrays, starts=np.array(self._starts, np.int64))  # type: ignore[arg-type]
+        return stream.getvalue()
+
+
+def _stacked(rows: list[Mapping[str, Array]]) -> dict[str, Array]:
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+def _add_random_steps(bundle: Bundle, rows: _Rows) -> None:
+    """Steps with inputs in and around the range of the recorded ones, and far beyond."""
+    random, policy, known = np.random.default_rng(0), bundle.start(), rows.inputs
+    wanted = rows.count + RANDOM
+    for number in range(_TRIES * RANDOM):
+        first = number % _RANDOM_EPISODE == 0
+        if first:
+            policy.reset()
+        inputs = {entry.name: _random_value(entry, known[entry.name], random) for entry in bundle.info.inputs}
+        rows.add(first, inputs, policy.step(inputs))
+        if rows.count == wanted:
+            break
+
+
+def _random_value(entry: Input, recorded: Array, random: np.random.Generator) -> Array:
+    if entry.dtype == "bool":
+        return random.random(entry.shape) < 0.5
+    if entry.dtype == "uint8":
+        return random.integers(0, 256, entry.shape, np.uint8)
+    low, high = recorded.min(axis=0), recorded.max(axis=0)
+    width = random.choice(_WIDTHS) * np.where(high > low, high - low, 1.0)
+    ends = entry.range or ((None,) * len(low), (None,) * len(low))
+    least = [-np.inf if end is None else end for end in ends[0]]
+    most = [np.inf if end is None else end for end in ends[1]]
+    return np.asarray(np.clip((low + high) / 2 + width * random.uniform(-1.0, 1.0, entry.shape), least, most))

@@ -1,0 +1,164 @@
+"""The inputs of an exported policy: sensors of robots, readings of the world, and goals, each with all that a robot must know of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from deepbots_cli.analysis.deployment import Deployment, reading_key
+from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER
+from deepbots_cli.expressions.functions import FUNCTIONS
+from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar
+from deepbots_cli.expressions.types import QUATERNION, SPACE
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import NoiseModel, Robot, Sensor
+from deepbots_cli.program.values import Expression
+from deepbots_cli.robots.model import Pose
+from deepbots_cli.scenario.sensors import SENSORS, JointSensor
+from deepbots_robot.model import Input, Mount
+
+_AGES_WITHIN = 3
+"""A value is too old when this many of its periods have passed without a new one."""
+_VECTORS = {"position": SPACE, "velocity": SPACE, "angular_velocity": SPACE, "orientation": QUATERNION}
+
+
+@dataclass(frozen=True)
+class Reading:
+    """An input, and where a simulation has its value.
+
+    `trees` are what the supervisor computes for it, one per component; of a sensor that is sampled, `device` names robot and sensor.
+    """
+
+    info: Input
+    trees: tuple[Scalar, ...] = ()
+    device: tuple[str, str] | None = None
+
+
+class Readings:
+    """Describes the inputs of a program."""
+
+    def __init__(self, program: Program) -> None:
+        self._program = program
+        self._deployment = Deployment(program)
+        self._supplied_by = {reading_key(key): text for key, text in program.supplied_by}
+        self.direct = self._deployment.sensed
+        """The readings of the world that are components of a sensor."""
+
+    def sensor(self, robot: Robot, sensor: Sensor) -> Reading:
+        """A sensor of a robot, as the supervisor gets its values."""
+        kind, faults = SENSORS[sensor.kind], sensor.faults or NoiseModel()
+        of_joints = issubclass(kind, JointSensor)
+        name = f"{robot.name}.{sensor.name}"
+        world = kind.world_function in _VECTORS
+        info = self._input(
+            name,
+            robot=robot.name,
+            source="sensor",
+            sensor=sensor.kind,
+            joints=sensor.subjects if of_joints else (),
+            link=None if of_joints else sensor.subjects[0],
+            mount=Mount(xyz=sensor.mount.xyz, rpy=sensor.mount.rpy) if sensor.mount != Pose() else None,
+            shape=sensor.optics.shape if sensor.optics else (len(sensor.components) or 1,),
+            dtype="uint8" if sensor.optics else "bool" if kind.boolean else "float64",
+            components=sensor.components,
+            unit=unit_text(sensor.unit),
+            frame="world" if world else sensor.subjects[0] if sensor.components == SPACE and not of_joints else None,
+            range=_sensor_range(sensor, faults, kind.interval),
+            period=faults.period * self._program.world.timestep,
+            latency=faults.latency,
+        )
+        if not self._program.is_direct(robot, "from_robot"):
+            return Reading(info, tuple(Name(f"{robot.name}.{_field(robot, sensor)}", part) for part in sensor.components or (None,)))
+        if sensor.is_direct:
+            return Reading(info, tuple(sensor.world_value(robot.name, part) for part in sensor.components or (None,)))
+        return Reading(info, device=(robot.name, sensor.name))
+
+    def of_world(self, read: EngineRead) -> tuple[Reading, int]:
+        """A reading of the world by the supervisor, and the index of the number in it."""
+        components = _VECTORS.get(read.function, ())
+        function = FUNCTIONS.get(read.function)
+        joint = self._deployment.joints.get(read.subjects[0])
+        shared = NUMBER if joint is None else LENGTH if joint.type == "prismatic" else ANGLE
+        truth = function is None or function.boolean
+        name = self._deployment.name(read)
+        interval = function.interval() if function is not None and read.function == "orientation" else None
+        robot = read.subjects[0].partition(".")[0]
+        robots = {known.name for known in self._program.robots}
+        info = self._input(
+            name,
+            robot=robot if robot in robots else None,
+            source="sensor" if self._deployment.is_measured(read) else "supervisor",
+            supplied_by=self._supplied_by.get(name),
+            sensor=read.function,
+            joints=(joint.name,) if joint is not None else (),
+            shape=(len(components) or 1,),
+            dtype="bool" if truth else "float64",
+            components=components,
+            unit="" if truth or function is None else unit_text(function.result(shared)),
+            frame="world" if components else None,
+            range=None if truth else _ends([interval or Interval(-math.inf, math.inf)] * (len(components) or 1)),
+        )
+        whole = [EngineRead(read.function, read.subjects, part) for part in components] or [read]
+        return Reading(info, tuple(whole)), components.index(read.component) if read.component else 0
+
+    def parameter(self, value: Expression) -> Reading:
+        """A parameter that an episode draws: on a robot, somebody sets it."""
+        known = value.typed.type
+        parts = value.components or (None,)
+        info = self._input(
+            value.name,
+            source="goal",
+            supplied_by=self._supplied_by.get(value.name),
+            shape=(len(parts),),
+            dtype="bool" if known.boolean else "float64",
+            components=value.components,
+            unit="" if known.boolean else unit_text(known.dimension),
+            range=None if known.boolean else _ends([known.interval_of(part) for part in parts]),
+            max_age_s=None,
+        )
+        return Reading(info, tuple(Name(value.name, part) for part in parts))
+
+    def _input(
+        self, name: str, *, period: float | None = None, latency: float = 0.0, components: Sequence[str] = (), **known: object
+    ) -> Input:
+        step = self._program.period
+        values: dict[str, object] = {
+            "robot": None, "supplied_by": None, "sensor": None, "joints": (), "link": None, "mount": None, "frame": None,
+            "rate_hz": round(1.0 / (period or step), 9), "latency_s": latency,
+            "max_age_s": round(latency + _AGES_WITHIN * max(period or step, step), 9),
+        }  # fmt: skip
+        return Input(name=name, components=tuple(components), **{**values, **known})  # type: ignore[arg-type]
+
+
+def _field(robot: Robot, sensor: Sensor) -> str:
+    """The field of a message that carries a sensor as it is."""
+    parts = tuple(Name(sensor.name, part) for part in sensor.components or (None,))
+    return next((entry.name for entry in robot.emit if entry.scalars == parts), sensor.name)
+
+
+def _sensor_range(sensor: Sensor, faults: NoiseModel, interval: Interval) -> tuple[tuple[float | None, ...], ...] | None:
+    """The range of the readings: the one that the sensor clips to, or that of its kind where nothing is added to the value."""
+    count = len(sensor.components) or 1
+    if sensor.optics is not None or SENSORS[sensor.kind].boolean:
+        return None
+    if faults.low:
+        return _ends([Interval(low, high) for low, high in zip(faults.low, faults.high, strict=True)])
+    exact = sensor.faults is None and sensor.beams is None
+    return _ends([interval if exact else Interval(-math.inf, math.inf)] * count)
+
+
+def _ends(intervals: Sequence[Interval]) -> tuple[tuple[float | None, ...], tuple[float | None, ...]]:
+    """The lower and the upper ends, None where there is none."""
+    return tuple(finite(each.low) for each in intervals), tuple(finite(each.high) for each in intervals)
+
+
+def finite(number: float | None) -> float | None:
+    """The number, None for one that is infinite."""
+    return number if number is not None and math.isfinite(number) else None
+
+
+def unit_text(unit: object) -> str:
+    """The unit of a dimension, empty for a plain number."""
+    return "" if str(unit) == "1" else str(unit)

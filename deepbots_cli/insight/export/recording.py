@@ -1,0 +1,174 @@
+"""Steps of a simulation as an exported policy sees them: the raw values of its inputs, and the commands that robots really applied."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepbots_cli import api
+from deepbots_cli.expressions.types import Constant, Type
+from deepbots_cli.insight.export.readings import Reading
+from deepbots_cli.program import Program
+from deepbots_cli.program.values import Expression
+from deepbots_cli.rollout import Start, steps
+from deepbots_cli.rollout.episode import Driver
+from deepbots_cli.runtime import Supervisor
+from deepbots_robot.model import Output
+
+_PREFIX = "export_"
+_SEED = 20_000
+_NUMPY_TYPES = {"float64": np.float64, "bool": np.bool_, "uint8": np.uint8}
+Array = NDArray[Any]
+
+
+class RecordedStep(NamedTuple):
+    """One step: the value of each input before it, the commands during it, and the action; `first` begins an episode."""
+
+    first: bool
+    inputs: Mapping[str, Array]
+    commands: Mapping[str, Array]
+    action: Any
+
+
+def recorded_steps(
+    program: Program,
+    readings: Sequence[Reading],
+    outputs: Sequence[Output],
+    make_driver: Callable[[Supervisor], Driver],
+    *,
+    engine: str | None = None,
+) -> Generator[RecordedStep, None, None]:
+    """Episodes without end, one after the other. Of copies of a robot, the steps of the first one.
+
+    Args:
+        make_driver: Returns who acts, for the environment.
+    """
+    with closing(api.build(with_probes(_as_exported(program), readings), engine=engine)) as world:
+        agent = next(iter(world.agents.values()))
+        watch = Watch(agent, readings, outputs)
+        driver = make_driver(world)
+        number = 0
+        while True:
+            inputs: Mapping[str, Array] = {}
+            for step in steps(world, driver, Start(_SEED + number)):
+                if step.number:
+                    action = step.action if agent is world else step.action[0]
+                    yield RecordedStep(step.number == 1, inputs, watch.commands(), action)
+                inputs = watch.inputs()
+            number += 1
+
+
+def with_probes(program: Program, readings: Sequence[Reading]) -> Program:
+    """The program whose supervisor stores the readings of the world."""
+    probes = []
+    for number, reading in enumerate(readings):
+        if reading.device is None:
+            place = program.agent.observation[0].value
+            count = len(reading.trees)
+            components = tuple(f"c{index}" for index in range(count)) if count > 1 else None
+            typed = Constant(Type(components=components, boolean=reading.info.dtype == "bool"), 0, 0, (0.0,) * count)
+            probe = Expression(f"{_PREFIX}{number}", place.span, reading.info.name, typed, f"signals.{_PREFIX}{number}")
+            vars(probe)["scalars"] = reading.trees  # what a lowered expression keeps there
+            probes.append(probe)
+    stored = program.stored_signals | {probe.name for probe in probes}
+    return replace(program, signals=(*program.signals, *probes), stored_signals=stored)
+
+
+def _as_exported(program: Program) -> Program:
+    """The program without what a bundle leaves out: noise that the supervisor adds. Rewards and endings of Python are not needed."""
+    agent = program.agent
+    program = program.with_agents(
+        observation=tuple(replace(entry, noise=None) for entry in agent.observation),
+        goal=agent.goal and replace(agent.goal, achieved=replace(agent.goal.achieved, noise=None)),
+        reward=tuple(term for term in agent.reward if term.foreign is None),
+    )
+    signals = tuple(replace(signal, noise=None) for signal in program.signals)
+    return replace(program, endings=tuple(ending for ending in program.endings if ending.foreign is None), signals=signals)
+
+
+class Watch:
+    """Reads inputs from a supervisor, and notes what its robots apply."""
+
+    def __init__(self, agent: Supervisor, readings: Sequence[Reading], outputs: Sequence[Output]) -> None:
+        self._readers = {reading.info.name: self._reader(agent, number, reading) for number, reading in enumerate(readings)}
+        self._infos = {reading.info.name: reading.info for reading in readings}
+        self._commands: dict[str, Array] = {}
+        for output in outputs:
+            controller, attribute = agent.controllers[output.robot], f"drive_{output.actuator}"
+            setattr(controller, attribute, _Drive(getattr(controller, attribute), partial(self._note, output.name)))
+        for robot in {output.robot for output in outputs}:
+            if not agent.scenario.is_direct(next(each for each in agent.scenario.robots if each.name == robot), "to_robot"):
+                self._apply_when_sent(agent, robot)
+
+    def _apply_when_sent(self, agent: Supervisor, robot: str) -> None:
+        """Note the commands of a message when it is sent: on the way it may be late, or be lost."""
+        channel, controller = agent.channels[robot, "to_robot"], agent.controllers[robot]
+        drives = [drive for drive in vars(controller).values() if isinstance(drive, _Drive)]
+        send = channel.send
+        for drive in drives:
+            drive.switch(notes=False, acts=True)
+
+        def sending(values: Sequence[Any]) -> Any:
+            for drive in drives:
+                drive.switch(notes=True, acts=False)
+            controller.use_message_data(values)  # type: ignore[attr-defined]
+            for drive in drives:
+                drive.switch(notes=False, acts=True)
+            return send(values)
+
+        channel.send = sending  # type: ignore[method-assign, assignment]
+
+    def _note(self, name: str, targets: Sequence[float]) -> None:
+        self._commands[name] = np.array([*targets], np.float64)
+
+    @staticmethod
+    def _reader(agent: Supervisor, number: int, reading: Reading) -> Callable[[], Any]:
+        if reading.device is None:
+            return lambda: getattr(agent, f"last_{_PREFIX}{number}")
+        robot, sensor = reading.device
+        device = agent.controllers[robot].device(sensor)
+        return lambda: device.reading
+
+    def inputs(self) -> dict[str, Array]:
+        """The value of each input now."""
+        found: dict[str, Array] = {}
+        for name, read in self._readers.items():
+            info, value = self._infos[name], read()
+            if info.dtype == "uint8":
+                value = value[0] if isinstance(value, tuple | list) else value
+            found[name] = np.array(value, _NUMPY_TYPES[info.dtype]).reshape(info.shape)
+        return found
+
+    def commands(self) -> dict[str, Array]:
+        """The commands of this step."""
+        return dict(self._commands)
+
+
+class _Drive:
+    """An actuator that notes its commands; for everything else the actuator itself."""
+
+    def __init__(self, drive: Callable[[Sequence[float]], object], note: Callable[[Sequence[float]], None]) -> None:
+        vars(self).update(drive=drive, note=note, notes=True, acts=True)
+
+    def __call__(self, targets: Sequence[float]) -> None:
+        targets = [*targets]
+        if self.notes:
+            self.note(targets)
+        if self.acts:
+            self.drive(targets)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(vars(self)["drive"], name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        setattr(vars(self)["drive"], name, value)
+
+    def switch(self, *, notes: bool, acts: bool) -> None:
+        """Whether it notes commands, and whether it passes them on."""
+        vars(self).update(notes=notes, acts=acts)

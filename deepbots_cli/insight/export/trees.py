@@ -1,0 +1,445 @@
+"""Expressions as nodes of ONNX: the scalar trees of a program, printed for a graph instead of as Python.
+
+Numbers are float64, as in the environment, and values one-dimensional tensors: a vector whose trees have the same form is one node per
+operation. The meaning of a function is its `python` in `expressions.functions`, so that a function of another package needs nothing here.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.expressions.functions import Function, function_named
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
+from deepbots_cli.insight.export.graph import Graph
+
+
+class Value(NamedTuple):
+    """A tensor of the graph of the shape [size]; a truth value is a bool. A size of 1 stands for any number of equal values."""
+
+    name: str
+    size: int = 1
+    truth: bool = False
+
+    @property
+    def dtype(self) -> type[Any]:
+        return np.bool_ if self.truth else np.float64
+
+
+class Item(NamedTuple):
+    """One number of a tensor."""
+
+    whole: Value
+    place: int = 0
+
+
+class Arithmetic:
+    """Operations on values of a graph; broken down into operators that onnxruntime has for float64."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
+
+    # Making values
+
+    def constant(self, values: Sequence[float | bool]) -> Value:
+        truth = all(isinstance(value, bool) for value in values)
+        single = len({(value, math.copysign(1.0, value)) for value in values}) == 1
+        kept = values[:1] if single else values
+        return Value(self.graph.constant([*kept], np.bool_ if truth else np.float64), len(kept), truth)
+
+    def picked(self, items: Sequence[Item]) -> Value:
+        """A vector of numbers of tensors."""
+        parts: list[Value] = []
+        run: list[Item] = []
+        for item in [*items, None]:
+            if item is not None and (not run or item.whole == run[0].whole):
+                run.append(item)
+                continue
+            parts.append(self._of_one([each.place for each in run], run[0].whole))
+            run = [item] if item is not None else []
+        return self.joined(parts)
+
+    def _of_one(self, indices: Sequence[int], whole: Value) -> Value:
+        if [*indices] == [*range(whole.size)]:
+            return whole
+        if whole.size == 1:
+            return self.spread(whole, len(indices))
+        taken = self.graph.add("Gather", whole.name, self.graph.constant(indices, np.int64), axis=0)
+        return Value(taken, len(indices), whole.truth)
+
+    def joined(self, parts: Sequence[Value]) -> Value:
+        """The values of several vectors in a row; truth values among numbers are 0 and 1."""
+        if len(parts) == 1:
+            return parts[0]
+        truth = all(part.truth for part in parts)
+        same = [part if truth else self.number(part) for part in parts]
+        return Value(self.graph.add("Concat", *(part.name for part in same), axis=0), sum(part.size for part in same), truth)
+
+    def spread(self, value: Value, size: int) -> Value:
+        """A vector of `size` values, from one value or from as many."""
+        if value.size == size:
+            return value
+        neutral = self.graph.constant(np.zeros(size), value.dtype)
+        return Value(self.graph.add("Or" if value.truth else "Add", value.name, neutral), size, value.truth)
+
+    def number(self, value: Value) -> Value:
+        """A truth value as 0 or 1."""
+        return Value(self.graph.cast(value.name, np.float64), value.size) if value.truth else value
+
+    def _node(self, operator: str, *values: Value, truth: bool = False, **attributes: Any) -> Value:
+        return Value(self.graph.add(operator, *(value.name for value in values), **attributes), max(v.size for v in values), truth)
+
+    # Operations
+
+    def binary(self, operator: str, a: Value, b: Value) -> Value:
+        """An arithmetic operation or a comparison."""
+        truth = operator in ("Less", "LessOrEqual", "Greater", "GreaterOrEqual", "Equal")
+        if not (operator == "Equal" and a.truth and b.truth):
+            a, b = self.number(a), self.number(b)
+        return self._node(operator, a, b, truth=truth)
+
+    def infix(self, sign: ast.AST, a: Value, b: Value) -> Value:
+        """What Python writes between two values.
+
+        Raises:
+            UsageError: It is a sign of bits or of matrices.
+        """
+        match sign:
+            case ast.Mod():
+                return self.remainder(self.number(a), self.number(b))
+            case ast.FloorDiv():
+                return self.call("floor", [self.binary("Div", a, b)])
+            case ast.NotEq():
+                return self._unequal(a, b)
+            case _ if type(sign) in _INFIX:
+                return self.binary(_INFIX[type(sign)], a, b)
+        raise UsageError(f"the sign {type(sign).__name__} in the Python of a function cannot be exported")
+
+    def negated(self, a: Value) -> Value:
+        return self._node("Not", self._as_truth(a), truth=True)
+
+    def both(self, a: Value, b: Value) -> Value:
+        return self._node("And", self._as_truth(a), self._as_truth(b), truth=True)
+
+    def either(self, a: Value, b: Value) -> Value:
+        return self._node("Or", self._as_truth(a), self._as_truth(b), truth=True)
+
+    def _as_truth(self, a: Value) -> Value:
+        return a if a.truth else self._node("Not", self._node("Equal", a, self.constant([0.0]), truth=True), truth=True)
+
+    def where(self, condition: Value, a: Value, b: Value) -> Value:
+        condition = self._as_truth(condition)
+        if a.truth and b.truth:  # onnxruntime has no `Where` of truth values
+            return self.either(self.both(condition, a), self.both(self.negated(condition), b))
+        return self._node("Where", condition, self.number(a), self.number(b))
+
+    def call(self, name: str, args: Sequence[Value]) -> Value:
+        """A function of `math` or of Python.
+
+        Raises:
+            UsageError: ONNX has no operators for it.
+        """
+        values = [self.number(arg) for arg in args]
+        if name in _OPERATORS and len(values) == 1:
+            return self._node(_OPERATORS[name], *values)
+        found = _COMPOSED.get(name)
+        if found is None:
+            raise UsageError(f"a function of the scenario calls '{name}', which ONNX cannot compute")
+        return found(self, *values)
+
+    def remainder(self, a: Value, b: Value) -> Value:
+        """`a % b` as Python has it: of the sign of b."""
+        rest = self._node("Mod", a, b, fmod=1)
+        other = self.both(self._unequal(rest, self.constant([0.0])), self._unequal(self._negative(rest), self._negative(b)))
+        return self.where(other, self.binary("Add", rest, b), rest)
+
+    def _unequal(self, a: Value, b: Value) -> Value:
+        return self.negated(self.binary("Equal", a, b))
+
+    def _negative(self, a: Value) -> Value:
+        return self.binary("Less", a, self.constant([0.0]))
+
+    def power(self, a: Value, b: Value) -> Value:
+        return self._node("Pow", self.number(a), self.number(b))
+
+    def square(self, a: Value) -> Value:
+        return self._node("Mul", self.number(a), self.number(a))
+
+    def hypot(self, *values: Value) -> Value:
+        squares = [self.square(value) for value in values]
+        total = squares[0]
+        for square in squares[1:]:
+            total = self._node("Add", total, square)
+        return self._node("Sqrt", total)
+
+    def cosine(self, a: Value) -> Value:
+        """As a sine: onnxruntime 1.20 has no cosine of float64."""
+        return self._node("Sin", self.binary("Add", a, self.constant([math.pi / 2])))
+
+    def tangent(self, a: Value) -> Value:
+        return self._node("Div", self._node("Sin", a), self.cosine(a))
+
+    def atan2(self, y: Value, x: Value) -> Value:
+        """The angle of a point.
+
+        onnxruntime has an arctangent of float32 alone. One step of Newton's method from there, as an angle between two directions, makes
+        it exact: what remains is the third power of 1e-7.
+        """
+        zero, one, pi = self.constant([0.0]), self.constant([1.0]), self.constant([math.pi])
+        below = self.either(self._negative(y), self._negative(self._node("Div", one, self.where(self._unequal(y, zero), one, y))))
+        left = self._negative(x)
+        at_origin = self.both(self.binary("Equal", y, zero), self.binary("Equal", x, zero))
+        slope = self._node("Div", y, self.where(at_origin, one, x))
+        coarse = Value(self.graph.cast(self.graph.add("Atan", self.graph.cast(slope.name, np.float32)), np.float64), slope.size)
+        turned = self._node("Add", coarse, self.where(below, self.constant([-math.pi]), pi))
+        angle = self.where(left, turned, coarse)
+        sine, cosine = self._node("Sin", angle), self.cosine(angle)
+        across = self.binary("Sub", self.binary("Mul", y, cosine), self.binary("Mul", x, sine))
+        along = self.binary("Add", self.binary("Mul", x, cosine), self.binary("Mul", y, sine))
+        rest = self._node("Div", across, self.where(at_origin, one, along))
+        return self._node("Add", angle, self.where(at_origin, zero, rest))
+
+    def reduced(self, operator: str, value: Value) -> Value:
+        """All components of a vector as one value."""
+        match operator:
+            case "add":
+                axes = self.graph.constant([0], np.int64)
+                return Value(self.graph.add("ReduceSum", self.number(value).name, axes, keepdims=1))
+            case "hypot":
+                return self._node("Sqrt", self.reduced("add", self.square(value)))
+            case "and" | "or":
+                counted = self.reduced("min" if operator == "and" else "max", self.number(self._as_truth(value)))
+                return self.binary("Greater", counted, self.constant([0.5]))
+        reducing = {"min": "ReduceMin", "max": "ReduceMax"}[operator]
+        return Value(self.graph.add(reducing, self.number(value).name, axes=[0], keepdims=1))
+
+
+_OPERATORS = {
+    "abs": "Abs", "sqrt": "Sqrt", "exp": "Exp", "log": "Log", "sin": "Sin", "floor": "Floor", "ceil": "Ceil", "tanh": "Tanh",
+}  # fmt: skip
+"""Functions of one argument, each with its operator."""
+
+
+def _folded(operator: str) -> Callable[..., Value]:
+    def fold(arithmetic: Arithmetic, *values: Value) -> Value:
+        return arithmetic._node(operator, *values) if len(values) > 1 else values[0]
+
+    return fold
+
+
+_COMPOSED: dict[str, Callable[..., Value]] = {
+    "cos": Arithmetic.cosine,
+    "tan": Arithmetic.tangent,
+    "atan2": Arithmetic.atan2,
+    "hypot": Arithmetic.hypot,
+    "pow": Arithmetic.power,
+    "min": _folded("Min"),
+    "max": _folded("Max"),
+    "fabs": lambda arithmetic, x: arithmetic._node("Abs", x),
+    "fmod": lambda arithmetic, a, b: arithmetic._node("Mod", a, b, fmod=1),
+    "radians": lambda arithmetic, x: arithmetic.binary("Mul", x, arithmetic.constant([math.pi / 180])),
+    "degrees": lambda arithmetic, x: arithmetic.binary("Mul", x, arithmetic.constant([180 / math.pi])),
+}
+_INFIX: dict[type[ast.AST], str] = {
+    ast.Add: "Add", ast.Sub: "Sub", ast.Mult: "Mul", ast.Div: "Div", ast.Lt: "Less", ast.LtE: "LessOrEqual", ast.Gt: "Greater",
+    ast.GtE: "GreaterOrEqual", ast.Eq: "Equal",
+}  # fmt: skip
+_REDUCED = frozenset({"add", "min", "max", "hypot", "and", "or"})
+_MIN_REDUCED = 4
+
+
+@cache
+def _template(text: str) -> ast.expr:
+    return ast.parse(text, mode="eval").body
+
+
+class TreePrinter:
+    """Prints trees into a graph; what was printed once is used again.
+
+    Args:
+        leaf: The number that a name or a reading of the world means.
+        states: The values of a stateful function, one per component of its argument.
+    """
+
+    def __init__(
+        self,
+        arithmetic: Arithmetic,
+        leaf: Callable[[Name | EngineRead], Item],
+        states: Callable[[Sequence[State], TreePrinter], Value],
+    ) -> None:
+        self.math = arithmetic
+        self._leaf = leaf
+        self._states = states
+        self._known: dict[Any, Value] = {}
+
+    def value(self, tree: Scalar) -> Value:
+        """One number or truth value."""
+        return self.vector([tree])
+
+    def vector(self, trees: Sequence[Scalar]) -> Value:
+        """One value per tree, or a single one where all are equal.
+
+        Raises:
+            UsageError: A tree holds what a graph cannot compute; names it.
+        """
+        key = tuple(map(_key, trees))
+        if len(set(key)) == 1 and len(key) > 1:
+            return self.vector(trees[:1])
+        if key not in self._known:
+            self._known[key] = self._printed(trees)
+        return self._known[key]
+
+    def _printed(self, trees: Sequence[Scalar]) -> Value:
+        first = trees[0]
+        if all(isinstance(tree, Const) for tree in trees):
+            return self.math.constant([tree.value for tree in trees if isinstance(tree, Const)])
+        if all(isinstance(tree, (Name, EngineRead)) for tree in trees):
+            return self.math.picked([self._leaf(tree) for tree in trees if isinstance(tree, (Name, EngineRead))])
+        if isinstance(first, State):
+            same = [
+                tree for tree in trees if isinstance(tree, State) and (tree.function, len(tree.args)) == (first.function, len(first.args))
+            ]
+            if len(same) == len(trees):
+                return self._states(same, self)
+        if isinstance(first, Op):
+            alike = [tree for tree in trees if isinstance(tree, Op) and (tree.op, len(tree.args)) == (first.op, len(first.args))]
+            if len(alike) == len(trees):
+                return self._operation(alike)
+        if len(trees) == 1:
+            assert isinstance(first, Draw)
+            raise UsageError("a random draw in an expression of the policy cannot be exported")
+        return self.math.joined([self.math.spread(self.vector([tree]), 1) for tree in trees])
+
+    def _operation(self, trees: Sequence[Op]) -> Value:
+        name, count = trees[0].op, len(trees[0].args)
+        if len(trees) == 1 and name in _REDUCED and count >= _MIN_REDUCED:
+            return self.math.reduced(name, self.math.spread(self.vector(trees[0].args), count))
+        args = [self.vector([tree.args[place] for tree in trees]) for place in range(count)]
+        if name == "pow" and all(tree.args[1] == Const(2.0) for tree in trees):
+            return self.math.square(args[0])
+        function = function_named(name)
+        names = function.arguments
+        if len(args) > len(names) and not names[-1].startswith("*"):  # `a + b` of more than two
+            total = args[0]
+            for arg in args[1:]:
+                total = self._applied(function, [total, arg])
+            return total
+        return self._applied(function, args)
+
+    def _applied(self, function: Function, args: Sequence[Value]) -> Value:
+        if not function.python:
+            raise UsageError(f"the function '{function.name}' cannot be exported")
+        names, given = function.arguments, dict[str, Sequence[Value]]()
+        for place, name in enumerate(names):
+            given[name] = args[place:] if name.startswith("*") else args[place : place + 1]
+        return self._code(_template(function.python), given)
+
+    def _code(self, node: ast.expr, args: dict[str, Sequence[Value]]) -> Value:
+        """What the Python of a function computes from its arguments."""
+        arithmetic = self.math
+        match node:
+            case ast.Name(id=name):
+                return args[name][0] if name in args else arithmetic.constant([float(getattr(math, name))])
+            case ast.Constant(value=bool() | int() | float() as value):
+                return arithmetic.constant([value if isinstance(value, bool) else float(value)])
+            case ast.Call(func=ast.Name(id=name), args=parts, keywords=[]):
+                return arithmetic.call(name, [value for part in parts for value in self._arguments(part, args)])
+            case ast.BinOp(op=sign, left=left, right=right) | ast.Compare(ops=[sign], left=left, comparators=[right]):
+                return arithmetic.infix(sign, self._code(left, args), self._code(right, args))
+            case ast.BoolOp(op=sign, values=parts):
+                found = self._code(parts[0], args)
+                for part in parts[1:]:
+                    other = self._code(part, args)
+                    found = arithmetic.both(found, other) if isinstance(sign, ast.And) else arithmetic.either(found, other)
+                return found
+            case ast.UnaryOp(op=ast.USub(), operand=inner):
+                return arithmetic._node("Neg", arithmetic.number(self._code(inner, args)))
+            case ast.UnaryOp(op=ast.Not(), operand=inner):
+                return arithmetic.negated(self._code(inner, args))
+            case ast.IfExp(test=test, body=a_, orelse=b_):
+                return arithmetic.where(self._code(test, args), self._code(a_, args), self._code(b_, args))
+        raise UsageError(f"the Python {ast.unparse(node)[:60]!r} of a function cannot be exported")
+
+    def _arguments(self, node: ast.expr, args: dict[str, Sequence[Value]]) -> Sequence[Value]:
+        if isinstance(node, ast.Starred) and isinstance(node.value, ast.Name):
+            return args[f"*{node.value.id}"]
+        return [self._code(node, args)]
+
+
+def _key(tree: Scalar) -> Any:
+    """What tells trees apart, also `True` from 1.0 and 0.0 from -0.0."""
+    match tree:
+        case Const(value=value):
+            return ("const", type(value) is bool, float(value), math.copysign(1.0, value))
+        case Op(op, args) | State(op, args) | Draw(op, args):
+            return (type(tree).__name__, op, *map(_key, args), tree[2:])
+        case _:
+            return (type(tree).__name__, *tree)
+
+
+# Memories of stateful functions
+
+
+class MemoryFormulas:
+    """What stateful functions keep and give: the classes of `runtime.formulas` as nodes. Each returns what is kept, and the value."""
+
+    def __init__(self, arithmetic: Arithmetic, timestep: float) -> None:
+        self._math = arithmetic
+        self._timestep = timestep
+
+    def begin(self, function: str, args: Sequence[Value]) -> tuple[Value, Value]:
+        """The first step of an episode."""
+        zero = self._math.constant([0.0])
+        first, start = args[0], args[1] if len(args) > 1 else args[0]
+        match function:
+            case "delta":
+                return start, zero
+            case "previous":
+                return start, start
+            case "integral" | "duration":
+                return zero, zero
+            case "accumulate":
+                return args[3], args[3]
+            case "rising_edge":
+                return first, self._math.constant([False])
+            case "running_max" | "running_min" | "hold" | "low_pass":
+                return first, first
+        raise UsageError(f"the function '{function}' cannot be exported")
+
+    def advance(self, function: str, kept: Value, args: Sequence[Value]) -> tuple[Value, Value]:
+        """Every further step."""
+        arithmetic, first = self._math, args[0]
+        binary = arithmetic.binary
+        match function:
+            case "delta":
+                return first, binary("Sub", first, kept)
+            case "previous":
+                return first, kept
+            case "running_max":
+                after = arithmetic.call("max", [kept, first])
+            case "running_min":
+                after = arithmetic.call("min", [kept, first])
+            case "hold":
+                after = arithmetic.where(args[1], first, kept)
+            case "low_pass":
+                step = arithmetic.constant([self._timestep])
+                share = binary("Div", step, binary("Add", args[1], step))
+                after = binary("Add", kept, binary("Mul", binary("Sub", first, kept), share))
+            case "integral":
+                after = binary("Add", kept, binary("Mul", first, arithmetic.constant([self._timestep])))
+            case "accumulate":
+                after = arithmetic.call("min", [arithmetic.call("max", [binary("Add", kept, first), args[1]]), args[2]])
+            case "duration":
+                grown = binary("Add", kept, arithmetic.constant([self._timestep]))
+                after = arithmetic.where(first, grown, arithmetic.constant([0.0]))
+            case "rising_edge":
+                return first, arithmetic.both(first, arithmetic.negated(kept))
+            case _:
+                raise UsageError(f"the function '{function}' cannot be exported")
+        return after, after

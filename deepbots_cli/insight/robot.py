@@ -1,0 +1,363 @@
+"""The simulation as a robot: a world that sends what its sensors measure over a link, and whose motors obey the commands that come.
+
+The link takes the place of the scenario's channels, and commands reach the motors as on a robot: what robot controllers compute under
+`apply` does not run. What the policy reads of the world is sent too, as a tracker would. The reward and the endings are those of the
+scenario; terms that use the action see the one that the policy sends beside its commands, else the middle of its range.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import replace
+from statistics import fmean
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from deepbots_cli import api
+from deepbots_cli.codegen.robot import sampled_sensors
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import UsageError
+from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, walk
+from deepbots_cli.insight.export.actuators import output
+from deepbots_cli.insight.export.readings import Reading, Readings
+from deepbots_cli.insight.export.recording import Watch, with_probes
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Robot, Route
+from deepbots_cli.program.topics import mapping
+from deepbots_cli.rollout import Driver, Episode, Start, play
+from deepbots_cli.rollout.drivers import zero_action
+from deepbots_cli.runtime import Supervisor
+from deepbots_robot.intake import Input, Intake
+from deepbots_robot.link import Link
+from deepbots_robot.model import Output
+from deepbots_robot.serving import ServeError, Transport, field_of, mapped, outputs_of_entries
+from deepbots_robot.topics import ACTION, Field, Topic, action_field
+
+AGAIN = 0.25
+"""Seconds without an answer after which a robot that waits sends its sensors again."""
+PATIENCE = 60.0
+"""Seconds that a robot waits for the first command of an episode, and in lockstep for every command."""
+
+
+# What a robot sends
+
+
+def robot_program(program: Program) -> Program:
+    """The scenario without what the link replaces: messages come at once, and none is lost.
+
+    Raises:
+        UsageError: The scenario has copies of a robot.
+    """
+    if program.agent.copies is not None:
+        raise UsageError(f"{program.name} has copies of a robot (`agent.each`), which cannot be served one by one")
+    moved = program.agent.robots
+    robots = tuple(replace(each, to_route=Route(), from_route=Route()) if each.name in moved else each for each in program.robots)
+    return replace(program, robots=robots, timing="immediate")
+
+
+def sent_readings(program: Program) -> list[Reading]:
+    """What a robot sends: its sensors, and what a policy of the scenario reads of the world. `program` is one of `robot_program`."""
+    found = _Collector(program)
+    agent = program.agent
+    for robot in program.robots:
+        if robot.name in agent.robots:
+            sampled = sampled_sensors(program, robot)
+            for sensor in robot.sensors:
+                if sensor.is_direct or sensor.name in sampled:
+                    found.add(found.describe.sensor(robot, sensor))
+            for value in robot.receive:
+                found.supervised(value.scalars)
+    for entry in agent.observation:
+        found.supervised(entry.value.scalars)
+    if agent.goal is not None:
+        found.supervised(agent.goal.achieved.scalars)
+        found.supervised(agent.goal.targets)
+    for part in agent.choices:
+        found.supervised([option.forbidden.scalar for option in part.options if option.forbidden is not None])
+    return list(found.readings.values())
+
+
+class _Collector:
+    """Follows names to what is measured."""
+
+    def __init__(self, program: Program) -> None:
+        self.describe = Readings(program)
+        self.readings: dict[str, Reading] = {}
+        self._signals = {signal.name: signal for signal in program.signals}
+        self._parameters = {value.name: value for value in program.parameters}
+        self._fields = {f"{robot.name}.{entry.name}": (robot, entry) for robot in program.robots for entry in robot.emitted}
+        self._followed: set[str] = set()
+        self._robots = program.robots
+
+    def add(self, reading: Reading) -> None:
+        self.readings.setdefault(reading.info.name, reading)
+
+    def supervised(self, trees: Sequence[Scalar]) -> None:
+        """What values of the supervisor are made of."""
+        for leaf in _leaves(trees):
+            if isinstance(leaf, EngineRead):
+                self._of_world(leaf)
+            elif leaf.name in self._parameters:
+                self.add(self.describe.parameter(self._parameters[leaf.name]))
+            elif leaf.name not in self._followed:
+                self._followed.add(leaf.name)
+                if leaf.name in self._signals:
+                    self.supervised(self._signals[leaf.name].scalars)
+                elif leaf.name in self._fields:
+                    robot, entry = self._fields[leaf.name]
+                    self._on_board(robot, entry.scalars)
+
+    def _on_board(self, robot: Robot, trees: Sequence[Scalar]) -> None:
+        sensors = {sensor.name: sensor for sensor in robot.sensors}
+        for leaf in _leaves(trees):
+            if isinstance(leaf, EngineRead):
+                self._of_world(leaf)
+            elif leaf.name in sensors:
+                self.add(self.describe.sensor(robot, sensors[leaf.name]))
+
+    def _of_world(self, leaf: EngineRead) -> None:
+        if leaf.function in ("age", "message_received"):
+            self.add(replace(self.describe.of_world(leaf)[0], trees=(self._of_channel(leaf),)))
+        elif leaf in self.describe.direct:
+            robot, sensor, _ = self.describe.direct[leaf]
+            self.add(self.describe.sensor(robot, sensor))
+        else:
+            self.add(self.describe.of_world(leaf)[0])
+
+    def _of_channel(self, leaf: EngineRead) -> Scalar:
+        """The age of a sensor, as its robot sends it; what is sent is new in every step."""
+        robot, _, sensor = leaf.subjects[0].partition(".")
+        fields = {f"{each.name}.{name}": f"{each.name}.{field}" for each in self._robots for name, field in each.ages}
+        return Name(fields[f"{robot}.{sensor}"]) if sensor else Const(leaf.function == "message_received")
+
+
+def _leaves(trees: Sequence[Scalar]) -> Iterator[Name | EngineRead]:
+    return (node for tree in trees for node in walk(tree) if isinstance(node, Name | EngineRead))
+
+
+# The robot
+
+
+class SimulatedRobot(Driver):
+    """Drives an environment by the commands that come over a link.
+
+    In real time a step lasts a period of the policy divided by `speed`, and the newest commands are obeyed; the time of an episode begins
+    with its first command. With `lockstep` each step waits for commands that answer its sensors.
+    """
+
+    note = "commands of a policy at the other end of a link"
+
+    def __init__(
+        self,
+        environment: Supervisor,
+        readings: Sequence[Reading],
+        outputs: Sequence[Output],
+        link: Link,
+        *,
+        lockstep: bool = False,
+        speed: float = 1.0,
+        patience: float = PATIENCE,
+    ) -> None:
+        """`environment` is made from `with_probes(robot_program(program), readings)`."""
+        super().__init__(lambda _: self._action)
+        self.link = link
+        self.answers: list[float] = []
+        self.steps = self.late_steps = self.held_steps = self.episodes = 0
+        self.intake = Intake([_without_limits(entry) for entry in outputs], speed=None)
+        self._limits = {each.field.name: (each.low, each.high) for each in outputs_of_entries(outputs)}
+        self._lockstep, self._patience = lockstep, patience
+        self._period = environment.scenario.period / speed
+        self._space = environment.action_space
+        self._action = self._still = zero_action(self._space)
+        self._watch = Watch(environment, readings, ())
+        self._obeyed: dict[str, list[float]] = {}
+        self._first, self._due = True, 0.0
+        for robot in {entry.robot for entry in outputs}:
+            self._take_over(environment, robot)
+
+    def _take_over(self, environment: Supervisor, robot: str) -> None:
+        """Let the motors of a robot follow the commands of the link instead of the messages of the supervisor."""
+        controller = environment.controllers[robot]
+        drives = [(f"{robot}.{entry.name}", getattr(controller, f"drive_{entry.name}")) for entry in controller.spec.commands]
+
+        def obey(_message: Any) -> None:
+            for name, drive in drives:
+                if name in self._obeyed:
+                    drive(self._obeyed[name])
+
+        controller.use_message_data = obey  # type: ignore[attr-defined]
+
+    def begin(self, start: Start) -> None:
+        """Forget the commands of the last episode: until the first new one the motors hold what they hold at a reset."""
+        self._obeyed = {}
+        self._action = self._still
+        self._first = True
+
+    def act(self, observation: Any) -> Any:
+        if self._first:
+            self._announce()
+        sent, stamp = time.monotonic(), time.time()
+        values = self._watch.inputs()
+        self.link.send(values, stamp)
+        self.steps += 1
+        if self._lockstep or self._first:
+            self._wait_for_answer(values, sent, stamp)
+            self._due = sent + self._period
+        else:
+            self._follow(sent)
+        self._first = False
+        return super().act(observation)
+
+    def _announce(self) -> None:
+        """Say that an episode begins, to a policy that is there."""
+        until = time.monotonic() + self._patience
+        while not self.link.connected():
+            if time.monotonic() > until:
+                raise UsageError(f"nobody listens on {self.link.name}; start the policy first: deepbots serve BUNDLE")
+            time.sleep(0.01)
+        self.link.take()
+        self.link.reset(self.episodes, time.time())
+        self.intake.begin(time.time())
+        self.episodes += 1
+
+    def _wait_for_answer(self, values: Mapping[str, Any], sent: float, stamp: float) -> None:
+        again = sent + AGAIN
+        while not self._received(sent, stamp):
+            now = time.monotonic()
+            if now > sent + self._patience:
+                raise UsageError(f"no command came within {self._patience:g} s on {self.link.name}; is the policy one of this scenario?")
+            if now > again:
+                self.link.send(values, stamp)
+                again = now + AGAIN
+            self.link.wait(max(0.0, again - now))
+
+    def _follow(self, sent: float) -> None:
+        """Take commands until the step is due; the newest ones count."""
+        answered = False
+        while True:
+            answered |= self._received(None if answered else sent, 0.0)
+            left = self._due - time.monotonic()
+            if left <= 0.0:
+                break
+            self.link.wait(left)
+        self.held_steps += not answered
+        self.late_steps += left < -self._period
+        self._due = max(self._due + self._period, time.monotonic())
+
+    def _received(self, sent: float | None, stamp: float) -> bool:
+        """Obey what has come; whether there is now a command of each actuator that answers what was sent."""
+        for arrival in self.link.take():
+            if arrival.kind == "fields" and (arrival.stamp is None or arrival.stamp >= stamp - 1e-6):
+                if ACTION in arrival.fields and self._space.shape is not None:
+                    self._action = _fitting(arrival.fields[ACTION], self._space, self._still)
+                else:
+                    self.intake.take(arrival, time.monotonic())
+        if not self.intake.complete():
+            return False
+        for name, value in self.intake.values().items():
+            self._obeyed[name] = np.clip(value, *self._limits[name]).tolist()
+        if sent is not None:
+            self.answers.append(time.monotonic() - sent)
+        return True
+
+
+def _fitting(value: Any, space: Any, other: Any) -> Any:
+    """An action of the space from the numbers of a message; `other` if they are none."""
+    size = int(np.prod(space.shape))
+    if value.size != size or not np.isfinite(value).all():
+        return other
+    if isinstance(space, spaces.Box):
+        return np.clip(value.reshape(space.shape), space.low, space.high).astype(space.dtype)
+    found = value.astype(np.int64).reshape(space.shape)[()]
+    return found if space.contains(found) else other
+
+
+def _without_limits(entry: Output) -> Input:
+    """A command as an input of the robot, which takes any finite one and keeps it within its limits."""
+    free = np.full(entry.shape, np.inf)
+    return Input(field_of(entry), "float64", -free, free, np.inf)
+
+
+def _action_field(program: Program) -> tuple[Field, Topic]:
+    return action_field(len(program.agent.choices) or len(program.agent.range_names))
+
+
+def serve_robot(
+    program: Program,
+    transport: Transport,
+    *,
+    episodes: int | None = None,
+    seed: int = 0,
+    engine: str | None = None,
+    lockstep: bool = False,
+    speed: float = 1.0,
+    patience: float = PATIENCE,
+    permissions: Permissions = Permissions(),
+) -> Iterator[tuple[Episode, SimulatedRobot]]:
+    """Episode after episode, with the starts of an evaluation with this seed; without end if `episodes` is None.
+
+    Raises:
+        UsageError: The link cannot be opened, or no command comes.
+    """
+    bare = robot_program(program)
+    readings = sent_readings(bare)
+    outputs = [output(bare, robot, command) for robot in bare.robots if robot.name in bare.agent.robots for command in robot.commands]
+    given = mapping(program)
+    try:
+        sends = mapped([field_of(reading.info) for reading in readings], given)
+        receives = mapped([field_of(entry) for entry in outputs], given, commands=True)
+        link = transport.open(receives, sends, robot=True)
+    except ServeError as error:
+        raise UsageError(str(error)) from None
+    with closing(link), closing(api.build(with_probes(bare, readings), engine=engine, permissions=permissions)) as environment:
+        robot = SimulatedRobot(environment, readings, outputs, link, lockstep=lockstep, speed=speed, patience=patience)
+        number = 0
+        while episodes is None or number < episodes:
+            yield play(environment, robot, Start.of_evaluation(seed, number)), robot
+            number += 1
+
+
+# The report
+
+
+def report(episodes: Sequence[Episode], robot: SimulatedRobot, *, success_defined: bool) -> dict[str, Any]:
+    """What the episodes were like, and how fast commands came (s, from sending sensors to the last of their commands)."""
+    answers = np.array(robot.answers or [np.nan])
+    endings = Counter(episode.ended_by for episode in episodes)
+    return {
+        "link": robot.link.name,
+        "episodes": len(episodes),
+        "success_rate": fmean(episode.is_success for episode in episodes) if success_defined else None,
+        "mean_return": fmean(episode.total_return for episode in episodes),
+        "endings": dict(endings.most_common()),
+        "steps": robot.steps,
+        "steps_without_new_command": robot.held_steps,
+        "late_steps": robot.late_steps,
+        "answer_median": float(np.median(answers)),
+        "answer_p99": float(np.quantile(answers, 0.99)),
+        "answer_max": float(answers.max()),
+        "refused": dict(robot.intake.refused),
+    }
+
+
+def report_lines(found: Mapping[str, Any]) -> list[str]:
+    """A report for people."""
+    rate = "" if found["success_rate"] is None else f", success {found['success_rate']:.1%}"
+    endings = ", ".join(f"{count} {name}" for name, count in found["endings"].items())
+    times = ", ".join(f"{word} {found[key] * 1e3:.2f} ms" for word, key in _TIMES.items())
+    held, late = found["steps_without_new_command"], found["late_steps"]
+    return [
+        found["link"],
+        f"  episodes  {found['episodes']:,}{rate}, mean return {found['mean_return']:.6g}; ended by: {endings}",
+        f"  steps     {found['steps']:,}; {held:,} without a new command, {late:,} that began late",
+        f"  answer    {times}",
+        *(f"  refused   {count:,} commands: {kind}" for kind, count in found["refused"].items()),
+    ]
+
+
+_TIMES = {"median": "answer_median", "99th percentile": "answer_p99", "longest": "answer_max"}

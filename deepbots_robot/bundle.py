@@ -1,0 +1,343 @@
+"""Loading a bundle with all checks, and the policy in it as an object to call."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from deepbots_robot import model, onnx_file
+from deepbots_robot.model import BundleError, BundleInfo, InputError
+
+BUNDLE_NAME, GRAPH_NAME, PARITY_NAME = "bundle.json", "policy.onnx", "parity.npz"
+METADATA_KEY = "deepbots.bundle"
+"""Metadata of the graph: the digest of the bundle.json that belongs to it."""
+TOLERANCE = 1e-5
+"""Largest difference of a command, in shares of its range, and of two scores that count as equal."""
+_MAX_JSON_BYTES = 10_000_000
+_MAX_GRAPH_BYTES = 500_000_000
+_MAX_PARITY_BYTES = 500_000_000
+
+Array = NDArray[Any]
+_NUMPY_TYPES = {"float64": np.float64, "float32": np.float32, "int64": np.int64, "bool": np.bool_, "uint8": np.uint8}
+_ONNX_TYPES = {
+    "float64": "tensor(double)", "float32": "tensor(float)", "int64": "tensor(int64)", "bool": "tensor(bool)", "uint8": "tensor(uint8)",
+}  # fmt: skip
+
+
+def load(folder: str | Path) -> Bundle:
+    """Load a bundle of `deepbots export`.
+
+    Checks the schema of bundle.json, the digests, the operators, inputs and outputs of the graph, and that the graph belongs to this
+    bundle.json; then repeats the recorded steps.
+
+    Raises:
+        BundleError: A check fails; names the file and, of a step that differs, the number of the step and the field.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise BundleError(f"{folder} is not a bundle of `deepbots export`: there is no such folder")
+    if not os.path.lexists(folder / BUNDLE_NAME):
+        raise BundleError(f"{folder} is not a bundle of `deepbots export`: it contains no {BUNDLE_NAME}")
+    try:
+        info = model.decode(_read(folder / BUNDLE_NAME, _MAX_JSON_BYTES))
+        content = {name: _read(folder / name, most) for name, most in ((GRAPH_NAME, _MAX_GRAPH_BYTES), (PARITY_NAME, _MAX_PARITY_BYTES))}
+        for name, found in content.items():
+            if hashlib.sha256(found).hexdigest() != info.files.get(name):
+                raise BundleError(f"{name} is not the file that was exported")
+        bundle = Bundle(info, content[GRAPH_NAME])
+        replay(bundle, read_parity(folder / PARITY_NAME, info))
+    except BundleError as error:
+        raise BundleError(f"{folder}: {error}; export the run again") from error
+    return bundle
+
+
+def read_info(folder: Path) -> BundleInfo:
+    """bundle.json alone, without the graph.
+
+    Raises:
+        BundleError: It is missing, damaged or of another format.
+    """
+    return model.decode(_read(folder / BUNDLE_NAME, _MAX_JSON_BYTES))
+
+
+def description_digest(info: BundleInfo) -> str:
+    """The digest of everything in a bundle.json but the digests of the files."""
+    return hashlib.sha256(msgspec.json.encode(msgspec.structs.replace(info, files={}))).hexdigest()
+
+
+def _read(path: Path, most: int) -> bytes:
+    if path.is_symlink() or not path.is_file():
+        raise BundleError(f"{path.name} is {'no regular file' if os.path.lexists(path) else 'missing'}")
+    try:
+        with path.open("rb") as file:
+            content = file.read(most + 1)
+    except OSError as error:
+        raise BundleError(f"{path.name} cannot be read: {error.strerror}") from error
+    if len(content) > most:
+        raise BundleError(f"{path.name} is larger than {most} bytes")
+    return content
+
+
+class Bundle:
+    """A policy with the description of its inputs and outputs.
+
+    Attributes:
+        info: The content of bundle.json.
+    """
+
+    def __init__(self, info: BundleInfo, graph: bytes) -> None:
+        """The session of a graph that fits `info`.
+
+        Raises:
+            BundleError: The graph cannot be run, or has other inputs, outputs or metadata than `info` says.
+        """
+        onnx_file.require_plain(graph)
+        self.info = info
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1  # a small network takes longer on several threads
+        options.log_severity_level = 4  # what onnxruntime writes to the terminal is raised as well
+        try:
+            self.session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"], enable_fallback=False)
+            inputs, outputs = self.session.get_inputs(), self.session.get_outputs()
+            found = self.session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
+        except Exception as error:  # of onnxruntime, or of Python where a name in the graph is no text
+            raise BundleError(f"{GRAPH_NAME} cannot be run by onnxruntime: {_one_line(error)}") from error
+        problem = next(_differences(info, inputs, outputs), None)
+        if problem is not None:
+            raise BundleError(f"{GRAPH_NAME} does not fit {BUNDLE_NAME}: {problem}")
+        if found != description_digest(info):
+            raise BundleError(f"{GRAPH_NAME} and {BUNDLE_NAME} are not of the same export")
+        self.output_names = tuple(entry.name for entry in outputs)
+
+    def start(self) -> Policy:
+        """The policy at the start of an episode, with a memory of its own."""
+        return Policy(self)
+
+
+def _differences(info: BundleInfo, inputs: Sequence[Any], outputs: Sequence[Any]) -> Iterator[str]:
+    """How the inputs and outputs of a graph differ from those of a bundle.json."""
+    read: tuple[model.Input | model.Memory, ...] = (*info.inputs, *info.memory)
+    given = [(entry.name, entry.shape, entry.dtype) for entry in read]
+    made: list[tuple[str, tuple[int, ...], str]] = [(entry.name, entry.shape, entry.dtype) for entry in info.outputs]
+    made += [(f"{entry.name}_next", entry.shape, entry.dtype) for entry in info.memory]
+    choices = info.choices
+    size = len(choices) if choices else len(info.action)
+    shape: tuple[int, ...] = () if len(choices) == 1 else (size,)
+    made.append(("action", shape, "int64" if choices else "float32"))
+    made += [("scores", (sum(choices),), "float32")] if choices else []
+    for what, wanted, found in (("input", given, inputs), ("output", made, outputs)):
+        names, known = [entry[0] for entry in wanted], [entry.name for entry in found]
+        if names != known:
+            other = next((name for name in (*names, *known) if (name in names) != (name in known)), None)
+            order = f"the {what}s have another order" if other is None else f"'{other}' is an {what} of only one of them"
+            yield order
+        for (name, shape, dtype), entry in zip(wanted, found, strict=False):
+            if tuple(entry.shape) != shape or entry.type != _ONNX_TYPES[dtype]:
+                yield f"the {what} '{name}' is {dtype} {list(shape)} in one, and {entry.type} {entry.shape} in the other"
+
+
+class Policy:
+    """A policy that acts: `step` once per timestep of the bundle, `reset` at the start of an episode.
+
+    One policy acts for one robot: it remembers what it needs from the steps before.
+    """
+
+    def __init__(self, bundle: Bundle) -> None:
+        self._run = bundle.session.run
+        self._inputs = [(entry.name, entry.shape, _NUMPY_TYPES[entry.dtype]) for entry in bundle.info.inputs]
+        self._names = frozenset(entry.name for entry in bundle.info.inputs)
+        self._outputs = bundle.output_names
+        self._memories = [(entry.name, f"{entry.name}_next") for entry in bundle.info.memory]
+        self._initial = {entry.name: initial_value(entry) for entry in bundle.info.memory}
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all steps before: the next one is the first of an episode."""
+        self._memory = dict(self._initial)
+
+    def step(self, values: Mapping[str, Any]) -> dict[str, Array]:
+        """The commands for the values that the sensors have now.
+
+        Args:
+            values: For each input its values in its shape, in SI units; a single number for the shape [1].
+
+        Returns:
+            The command of each actuator (float64 [n], SI units) by its name; `action`, and with choices `scores` of all options.
+
+        Raises:
+            InputError: A value is missing, unknown, of another shape or kind, or not finite.
+        """
+        if values.keys() != self._names:
+            raise InputError(self._wrong_names(values))
+        feeds = dict(self._memory)
+        for name, shape, kind in self._inputs:
+            feeds[name] = _fitting(name, values[name], shape, kind)
+        found = dict(zip(self._outputs, self._run(None, feeds), strict=True))
+        for name, following in self._memories:
+            self._memory[name] = found.pop(following)
+        return found
+
+    def _wrong_names(self, values: Mapping[str, Any]) -> str:
+        missing, unknown = sorted(self._names - values.keys()), sorted(map(str, values.keys() - self._names))
+        parts = [f"{len(names)} {what} ({', '.join(names[:5])})" for what, names in (("missing", missing), ("unknown", unknown)) if names]
+        return f"the values do not fit the inputs of the policy: {', '.join(parts)}"
+
+
+def initial_value(entry: model.Memory) -> Array:
+    """A memory at the start of an episode."""
+    return np.ascontiguousarray(np.broadcast_to(np.array(entry.initial, _NUMPY_TYPES[entry.dtype]), model.size_of(entry.shape))).reshape(
+        entry.shape
+    )
+
+
+def _fitting(name: str, value: Any, shape: tuple[int, ...], kind: type[Any]) -> Array:
+    try:
+        array = np.asarray(value)
+    except ValueError as error:
+        raise InputError(f"the value of '{name}' is no array") from error
+    if array.shape != shape:
+        if array.shape == () and shape == (1,):
+            array = array.reshape(1)
+        else:
+            raise InputError(f"the value of '{name}' has the shape {list(array.shape)}; it must have {list(shape)}")
+    if array.dtype == kind:
+        pass
+    elif kind in (np.float64, np.float32) and array.dtype.kind in "iuf":
+        array = array.astype(kind)
+    else:
+        raise InputError(f"the value of '{name}' is of the type {array.dtype}; it must be {np.dtype(kind).name}")
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        raise InputError(f"the value of '{name}' is not finite")
+    return array
+
+
+# Recorded steps
+
+
+@dataclass(frozen=True)
+class Parity:
+    """Recorded steps: rows of each input and each output, and the numbers of the steps with which an episode begins."""
+
+    inputs: Mapping[str, Array]
+    outputs: Mapping[str, Array]
+    starts: tuple[int, ...]
+
+    @property
+    def steps(self) -> int:
+        return len(next(iter(self.outputs.values())))
+
+
+def read_parity(path: Path, info: BundleInfo) -> Parity:
+    """The steps in parity.npz.
+
+    Raises:
+        BundleError: It is damaged, or has other arrays than the bundle.
+    """
+    wanted = {f"input/{entry.name}": entry for entry in info.inputs} | {f"output/{entry.name}": entry for entry in info.outputs}
+    names = {*wanted, "output/action", "starts", *(["output/scores"] if info.choices else [])}
+    try:
+        with zipfile.ZipFile(path) as archive:
+            sizes = {entry.filename: entry.file_size for entry in archive.infolist()}
+            if sum(sizes.values()) > _MAX_PARITY_BYTES:
+                raise BundleError(f"{PARITY_NAME} holds more than {_MAX_PARITY_BYTES} bytes")
+            if sizes.keys() != {f"{name}.npy" for name in names}:
+                raise BundleError(f"{PARITY_NAME} has other arrays than {BUNDLE_NAME} has fields")
+            arrays = {name: _read_array(archive, f"{name}.npy", sizes[f"{name}.npy"]) for name in names}
+    except BundleError:
+        raise
+    except Exception as error:  # zipfile, zlib and numpy raise a dozen kinds for damaged files
+        raise BundleError(f"{PARITY_NAME} is damaged: {_one_line(error)}") from error
+    starts = arrays.pop("starts")
+    count = len(arrays["output/action"]) if arrays["output/action"].ndim else 0
+    if starts.dtype.kind != "i" or starts.ndim != 1 or not len(starts) or not count or starts[0] != 0:
+        raise BundleError(f"{PARITY_NAME} has no steps, or does not say where episodes begin")
+    if (np.diff(starts) <= 0).any() or starts[-1] >= count:
+        raise BundleError(f"the starts in {PARITY_NAME} are not in order")
+    for name, entry in wanted.items():
+        if arrays[name].shape != (count, *entry.shape) or arrays[name].dtype != _NUMPY_TYPES[entry.dtype]:
+            raise BundleError(f"'{name}' in {PARITY_NAME} has another shape or type than in {BUNDLE_NAME}")
+    own = {name: {key.partition("/")[2]: array for key, array in arrays.items() if key.startswith(name)} for name in ("input", "output")}
+    return Parity(own["input"], own["output"], tuple(starts.tolist()))
+
+
+def _read_array(archive: zipfile.ZipFile, name: str, size: int) -> Array:
+    with archive.open(name) as file:
+        content = io.BytesIO(file.read(size))
+    version = np.lib.format.read_magic(content)
+    header = np.lib.format.read_array_header_1_0(content) if version == (1, 0) else np.lib.format.read_array_header_2_0(content)
+    if model.size_of(header[0]) * header[2].itemsize > size:
+        raise ValueError(f"{name} is shorter than its shape")
+    content.seek(0)
+    found: Array = np.lib.format.read_array(content, allow_pickle=False)
+    return found
+
+
+def replay(bundle: Bundle, parity: Parity) -> None:
+    """Repeat recorded steps.
+
+    Raises:
+        BundleError: A command or a score differs by more than 1e-5 of its range, or another option is chosen although its score is
+            smaller by more than 1e-5; or the graph cannot be run.
+    """
+    policy = bundle.start()
+    starts, skipping = set(parity.starts), False
+    spans: dict[str, Any] = {entry.name: span_of(entry) for entry in bundle.info.outputs} | {"action": 2.0}
+    for step in range(parity.steps):
+        if step in starts:
+            policy.reset()
+            skipping = False
+        try:
+            found = policy.step({name: rows[step] for name, rows in parity.inputs.items()})
+        except InputError as error:
+            raise BundleError(f"step {step} in {PARITY_NAME}: {error}") from error
+        except Exception as error:
+            raise BundleError(f"{GRAPH_NAME} fails in step {step} of {PARITY_NAME}: {_one_line(error)}") from error
+        wanted = {name: rows[step] for name, rows in parity.outputs.items()}
+        if skipping or _are_tied(bundle.info.choices, found, wanted):
+            skipping = True  # the commands are those of another option, and what follows may depend on them
+            continue
+        if "scores" in wanted:
+            spans["scores"] = max(1.0, float(np.abs(wanted["scores"]).max()))
+        for name, span in spans.items():
+            if not np.all(np.abs(found[name] - wanted[name]) <= TOLERANCE * span):
+                numbers = f"'{name}' is {_numbers(found[name])} and was {_numbers(wanted[name])}"
+                raise BundleError(f"the policy differs from its recording in step {step}: {numbers}")
+
+
+def span_of(entry: model.Output) -> Array:
+    """The width of the range of each component of a command; 1 where there is no limit."""
+    ends = zip(*entry.range, strict=True)
+    return np.array([1.0 if low is None or high is None or low == high else high - low for low, high in ends])
+
+
+def _are_tied(choices: tuple[int, ...], found: Mapping[str, Array], wanted: Mapping[str, Array]) -> bool:
+    """Whether another option was chosen, of two whose scores are equal but for rounding."""
+    if not choices or np.array_equal(found["action"], wanted["action"]):
+        return False
+    now, before = np.atleast_1d(found["action"]), np.atleast_1d(wanted["action"])
+    first = 0
+    for size, one, other in zip(choices, now.tolist(), before.tolist(), strict=True):
+        scores = wanted["scores"][first : first + size]
+        if not 0 <= other < size or abs(float(scores[one]) - float(scores[other])) > TOLERANCE:
+            return False
+        first += size
+    return True
+
+
+def _numbers(array: Array) -> str:
+    return ", ".join(f"{number:.6g}" for number in np.atleast_1d(array).tolist()[:6])
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__

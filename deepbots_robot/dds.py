@@ -1,0 +1,158 @@
+"""The link over ROS 2: topics of Cyclone DDS, on the loopback interface unless another one is named."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from cyclonedds.core import DDSException, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.internal import InvalidSample
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic as DdsTopic
+from cyclonedds.util import duration
+
+from deepbots_robot import idl
+from deepbots_robot.link import EPISODE_TOPIC, Array, Arrival
+from deepbots_robot.ros import Codec, stamp_of, time_of
+from deepbots_robot.topics import Field, Topic
+
+MAX_DOMAIN = 232
+"""The largest DDS domain, `ROS_DOMAIN_ID`, whose ports exist."""
+_LOOPBACK = (
+    '<General><Interfaces><NetworkInterface name="lo" multicast="true"/></Interfaces><AllowMulticast>false</AllowMulticast></General>'
+    '<Discovery><ParticipantIndex>auto</ParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
+)
+_PLAIN_CDR = Policy.DataRepresentation(use_cdrv0_representation=True)
+SENSOR_DATA = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(5), Policy.Durability.Volatile, _PLAIN_CDR)
+"""The profile of ROS 2 for sensors: the newest five messages, without asking again for a lost one."""
+COMMANDS = Qos(Policy.Reliability.Reliable(duration(milliseconds=100)), Policy.History.KeepLast(10), Policy.Durability.Volatile, _PLAIN_CDR)
+"""The default profile of ROS 2, for commands and resets."""
+_TAKEN = 256
+
+_DOMAINS: dict[int, tuple[str, Any]] = {}
+"""The domains of this process with their networks; a process has one of each number, which two ends in it share."""
+
+Mapped = Sequence[tuple[Field, Topic]]
+
+
+class RosLink:
+    """One end of a link over ROS 2.
+
+    The end of the robot (`robot=True`) sends sensors and resets and receives commands.
+    """
+
+    def __init__(self, receives: Mapped, sends: Mapped, *, robot: bool = False, interface: str | None = None, domain: int = 0) -> None:
+        """Open the topics of the fields.
+
+        Raises:
+            ValueError: A field does not fit its topic, or the interface or the domain does not exist.
+        """
+        if not 0 <= domain <= MAX_DOMAIN:
+            raise ValueError(f"the domain {domain} does not exist; choose one from 0 to {MAX_DOMAIN}")
+        if interface is not None and not re.fullmatch(r"[A-Za-z0-9_.:-]{1,32}", interface):
+            raise ValueError(f"'{interface[:40]}' is no network interface; `ip address` lists them")
+        self.name = f"ROS 2 on {interface or 'the loopback interface'}, domain {domain}"
+        network = _LOOPBACK if interface is None else f'<General><Interfaces><NetworkInterface name="{interface}"/></Interfaces></General>'
+        try:
+            if domain not in _DOMAINS:
+                _DOMAINS[domain] = network, Domain(domain, f"<CycloneDDS><Domain>{network}</Domain></CycloneDDS>")
+            if _DOMAINS[domain][0] != network:
+                raise ValueError(f"the domain {domain} is already open on another network interface")
+            self._participant = DomainParticipant(domain)
+        except DDSException as error:
+            raise ValueError(f"{self.name} cannot be opened: {error}") from None
+        self._robot = robot
+        sensors, commands = (sends, receives) if robot else (receives, sends)
+        qos = dict.fromkeys(_by_topic(sensors), SENSOR_DATA) | dict.fromkeys(_by_topic(commands), COMMANDS)
+        self._readers = [(name, self._reader(name, codec, qos[name]), codec) for name, codec in _by_topic(receives).items()]
+        self._writers = [(self._writer(name, codec.type, qos[name]), codec) for name, codec in _by_topic(sends).items()]
+        self._waiting = WaitSet(self._participant)
+        self._episode_writer = self._writer(EPISODE_TOPIC, "std_msgs/Header", COMMANDS) if robot else None
+        self._episode_reader = None if robot else DataReader(self._participant, self._topic(EPISODE_TOPIC, "std_msgs/Header"), qos=COMMANDS)
+        everything = SampleState.Any | ViewState.Any | InstanceState.Any
+        readers = [reader for _, reader, _ in self._readers] + [self._episode_reader] * (not robot)
+        self._conditions = [ReadCondition(reader, everything) for reader in readers]
+        for condition in self._conditions:
+            self._waiting.attach(condition)
+
+    def _topic(self, name: str, type: str) -> Any:
+        return DdsTopic(self._participant, f"rt{name}", idl.TYPES[type])
+
+    def _reader(self, name: str, codec: Codec, qos: Any) -> Any:
+        return DataReader(self._participant, self._topic(name, codec.type), qos=qos)
+
+    def _writer(self, name: str, type: str, qos: Any) -> Any:
+        return DataWriter(self._participant, self._topic(name, type), qos=qos)
+
+    def wait(self, timeout: float) -> None:
+        self._waiting.wait(duration(seconds=max(0.0, timeout)))
+
+    def take(self) -> Sequence[Arrival]:
+        found = [] if self._episode_reader is None else [_episode(each) for each in _taken(self._episode_reader)]
+        for name, reader, codec in self._readers:
+            found += [_arrival(name, codec, message) for message in _taken(reader)]
+        return found
+
+    def send(self, values: Mapping[str, Array], stamp: float) -> None:
+        for writer, codec in self._writers:
+            if all(field.name in values for field in codec.fields):
+                writer.write(codec.encode(values, stamp))
+
+    def reset(self, number: int, stamp: float) -> None:
+        if self._episode_writer is not None:
+            self._episode_writer.write(idl.Header(time_of(stamp), str(number)))
+            self._episode_writer.wait_for_acks(duration(seconds=1))
+
+    def connected(self) -> bool:
+        return any(writer.get_matched_subscriptions() for writer, _ in self._writers)
+
+    def close(self) -> None:
+        self._conditions.clear()
+        self._readers.clear()
+        self._writers.clear()
+        del self._waiting, self._participant
+
+
+def _by_topic(mapped: Mapped) -> dict[str, Codec]:
+    """The codec of each topic."""
+    sharing: dict[str, list[tuple[Field, Topic]]] = {}
+    for field, topic in mapped:
+        sharing.setdefault(topic.name, []).append((field, topic))
+    return {name: Codec(entries[0][1].type, entries) for name, entries in sharing.items()}
+
+
+def _taken(reader: Any) -> list[Any]:
+    """The messages of a reader; an exception stands for bytes that are none of its type."""
+    found: list[Any] = []
+    for _ in range(_TAKEN):
+        try:
+            taken = reader.take(1)
+        except Exception as error:  # noqa: BLE001  what the deserializer raises for bytes that are no message is not documented
+            found.append(error)
+            continue
+        if not taken:
+            break
+        found += [message for message in taken if not isinstance(message, InvalidSample)]
+    return found
+
+
+def _arrival(name: str, codec: Codec, message: Any) -> Arrival:
+    if isinstance(message, Exception):
+        return Arrival(name, problem=f"a message that is no {codec.type}")
+    stamp = stamp_of(message)
+    if stamp is None and message.sample_info is not None:
+        stamp = message.sample_info.source_timestamp * 1e-9
+    try:
+        return Arrival(name, codec.decode(message), stamp)
+    except (ValueError, TypeError, OverflowError) as error:
+        return Arrival(name, stamp=stamp, problem=str(error))
+
+
+def _episode(message: Any) -> Arrival:
+    if isinstance(message, Exception) or not re.fullmatch(r"[0-9]{1,9}", message.frame_id):
+        return Arrival(EPISODE_TOPIC, problem="a reset without the number of an episode")
+    return Arrival(EPISODE_TOPIC, stamp=stamp_of(message) or 0.0, kind="reset", number=int(message.frame_id))

@@ -1,0 +1,67 @@
+"""A link between robot and policy: what both transports offer, and what arrives on them.
+
+One end sends sensor fields and resets and receives commands, the other end the reverse. A link carries arrays by the names of fields;
+`intake` checks them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
+
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+Kind = Literal["fields", "reset"]
+
+EPISODE_TOPIC = "/deepbots/episode"
+"""The topic of resets in ROS 2: std_msgs/Header with the time of the reset, and the number of the episode as `frame_id`."""
+MAX_BYTES = 16 * 2**20
+"""Of a message; a picture of 1024 x 1024 pixels in color has three million."""
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """A message that came, read but not checked.
+
+    Attributes:
+        source: The topic, or the robot that sent it.
+        fields: Arrays by the names of fields.
+        stamp: The sender's time in s; None if the message has none.
+        problem: Why it cannot be read; empty if it can.
+        kind: `reset` says that an episode begins.
+        number: The number of the episode of a reset.
+    """
+
+    source: str
+    fields: Mapping[str, Array] = field(default_factory=dict)
+    stamp: float | None = None
+    problem: str = ""
+    kind: Kind = "fields"
+    number: int = 0
+
+
+class Link(Protocol):
+    """One end of a link."""
+
+    name: str
+    """The transport and its address, for people."""
+
+    def wait(self, timeout: float) -> None:
+        """Return when something has arrived, or after `timeout` s."""
+
+    def take(self) -> Sequence[Arrival]:
+        """The messages that arrived since the last call, in their order; resets first."""
+
+    def send(self, values: Mapping[str, Array], stamp: float) -> None:
+        """Send fields, which were measured or computed at `stamp` (s)."""
+
+    def reset(self, number: int, stamp: float) -> None:
+        """Say that episode `number` begins. What is sent afterwards arrives afterwards."""
+
+    def connected(self) -> bool:
+        """Whether the other end listens."""
+
+    def close(self) -> None:
+        """End the link."""

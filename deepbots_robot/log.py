@@ -1,0 +1,117 @@
+"""The log of a server: an MCAP file that can be read up to its last second even if the process is killed.
+
+    /step     one message per command: inputs, commands, the answer time (s), and the posture, `policy` or `safe`
+    /event    episodes, refused messages, and why the robot went into the safe posture
+
+All messages are JSON; pictures are left out. Records are written one after the other, without compression, so that a file without an end
+is a log too.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap import records
+from mcap.exceptions import McapError
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+
+from deepbots_robot.link import Array
+
+FLUSH = 0.5
+"""Seconds between two times at which what was written goes to the file."""
+MAX_EVENTS = 20
+"""Events of one kind in a second; further ones are counted in the report alone."""
+MAX_READ = 1 << 28
+_MAGIC = b"\x89MCAP0\r\n"
+_NS = 1_000_000_000
+_STEP = {
+    "type": "object",
+    "properties": {
+        "inputs": {"type": "object", "additionalProperties": {"type": "array", "items": {"type": "number"}}},
+        "commands": {"type": "object", "additionalProperties": {"type": "array", "items": {"type": "number"}}},
+        "answer": {"type": "number"},
+        "posture": {"type": "string"},
+    },
+}
+_EVENT = {"type": "object", "properties": {"kind": {"type": "string"}, "text": {"type": "string"}}}
+
+
+class LogWriter:
+    """Writes a log; `clock` is a monotonic time in s."""
+
+    def __init__(self, path: Path, about: Mapping[str, str], clock: Callable[[], float] = time.monotonic) -> None:
+        """Begin a file; `about` goes into its metadata.
+
+        Raises:
+            OSError: The file cannot be written.
+        """
+        self._file = path.open("wb")
+        self._writer = Writer(self._file, use_chunking=False, compression=CompressionType.NONE)
+        self._writer.start(library="deepbots")
+        self._writer.add_metadata("deepbots_robot", dict(about))
+        self._steps = self._channel("/step", _STEP)
+        self._events = self._channel("/event", _EVENT)
+        self._clock, self._flushed = clock, -np.inf
+        self._recent: dict[str, int] = {}
+        self._flush()
+
+    def _channel(self, topic: str, schema: Mapping[str, Any]) -> int:
+        number = self._writer.register_schema(f"deepbots{topic.replace('/', '.')}", "jsonschema", json.dumps(schema).encode())
+        return self._writer.register_channel(topic, "json", number)
+
+    def step(self, stamp: float, values: Mapping[str, Array], commands: Mapping[str, Array], answer: float, posture: str) -> None:
+        inputs = {name: value.reshape(-1).astype(float).tolist() for name, value in values.items() if value.ndim < 3}
+        sent = {name: value.tolist() for name, value in commands.items()}
+        self._add(self._steps, stamp, {"inputs": inputs, "commands": sent, "answer": answer, "posture": posture})
+
+    def event(self, stamp: float, kind: str, text: str) -> None:
+        recent = self._recent[kind] = self._recent.get(kind, 0) + 1
+        if recent <= MAX_EVENTS:
+            self._add(self._events, stamp, {"kind": kind, "text": text})
+        self._flush()
+
+    def _add(self, channel: int, stamp: float, content: Mapping[str, Any]) -> None:
+        at = max(0, round(stamp * _NS))
+        self._writer.add_message(channel, at, json.dumps(content).encode(), at)
+        self._flush()
+
+    def _flush(self) -> None:
+        now = self._clock()
+        if now - self._flushed >= FLUSH:
+            self._file.flush()
+            self._flushed, self._recent = now, {}
+
+    def close(self) -> None:
+        """Write the end of the file."""
+        if not self._file.closed:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._file.close()
+
+
+def read_log(path: Path) -> Iterator[tuple[str, float, dict[str, Any]]]:
+    """Topic, stamp (s) and content of each message, up to where the file ends.
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: It is no log.
+    """
+    with path.open("rb") as file:
+        content = file.read(MAX_READ)
+    if not content.startswith(_MAGIC[: len(content)]):
+        raise ValueError(f"{path} is not a log of a robot")
+    topics: dict[int, str] = {}
+    with suppress(McapError, struct.error, EOFError, KeyError, ValueError):  # the end of a process that was killed
+        for found in StreamReader(io.BytesIO(content), record_size_limit=1 << 24).records:
+            if isinstance(found, records.Channel):
+                topics[found.id] = found.topic
+            elif isinstance(found, records.Message):
+                yield topics[found.channel_id], found.log_time / _NS, json.loads(found.data)

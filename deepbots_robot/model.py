@@ -1,0 +1,338 @@
+"""The content of `bundle.json`: the fields of a policy, in SI units, in order.
+
+`python -m deepbots_robot.schema` writes the JSON Schema, `schemas/bundle-1.schema.json`, from these records.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Final, Literal
+
+import msgspec
+from msgspec import Meta
+
+FORMAT: Final = 1
+
+MAX_FIELDS = 4096
+MAX_NUMBERS = 16_777_216
+"""Numbers in one field: an image of 2048 x 2730 pixels in three colors."""
+
+
+class BundleError(Exception):
+    """A bundle cannot be used; the message says what is wrong with which file, in one sentence."""
+
+
+class InputError(ValueError):
+    """The values given to `Policy.step` do not fit the inputs of the bundle; the memory of the policy has not changed."""
+
+
+# Values that occur in several records
+
+Name = Annotated[str, Meta(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
+Text = Annotated[str, Meta(max_length=2000)]
+Digest = Annotated[str, Meta(pattern="^[0-9a-f]{64}$", description="SHA-256 in hexadecimal.")]
+Finite = Annotated[float, Meta(ge=-1e300, le=1e300)]
+Positive = Annotated[float, Meta(gt=0, le=1e12)]
+NotNegative = Annotated[float, Meta(ge=0, le=1e12)]
+Shape = Annotated[tuple[Annotated[int, Meta(ge=1, le=MAX_NUMBERS)], ...], Meta(min_length=1, max_length=4)]
+Names = Annotated[tuple[Name, ...], Meta(max_length=MAX_FIELDS)]
+Numbers = Annotated[tuple[Finite, ...], Meta(max_length=MAX_FIELDS)]
+Bounds = Annotated[tuple[Finite | None, ...], Meta(max_length=MAX_FIELDS)]
+Triple = tuple[Finite, Finite, Finite]
+DType = Literal["float64", "float32", "int64", "bool", "uint8"]
+
+
+class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A record without unknown keys."""
+
+
+class Mount(Record, frozen=True):
+    """The pose of a sensor in the frame of its link."""
+
+    xyz: Triple
+    rpy: Triple
+
+
+class Input(Record, frozen=True):
+    """A value that the policy reads in each step, as the sensor gives it.
+
+    Attributes:
+        name: The name of the tensor: `cart.pole_angle` for a sensor, `position(ball)` for a reading of the world, `target` for a goal.
+        robot: The robot that has the sensor; null for others.
+        source: `sensor`: the robot measures it. `supervisor`: a tracker or an estimator must supply it. `goal`: the operator sets it.
+        supplied_by: What supplies a reading of the world, as the scenario says under `deploy`; null if it does not say.
+        sensor: The kind of the sensor, such as `gyro`; the function of the language for a reading of the world; null for a goal.
+            `age` is the time in s since the newest values of a robot or a sensor were measured.
+        joints: The joints of a joint sensor, one for each component.
+        link: The link on which the sensor is mounted.
+        mount: The pose of the sensor in the frame of the link; null for the frame of the link itself.
+        shape: `[n]`, or rows, columns and channels of an image.
+        components: The names of the components in order; none for a single value and for an image.
+        unit: The SI unit; empty for a plain number, a truth value and an image.
+        frame: The frame of a vector: `world`, or the name of the link; null for others.
+        range: The smallest and the largest value of each component, null where unknown; null for an image and a truth value.
+        rate_hz: How often the training got a new value.
+        latency_s: The time from the measurement to the delivery in the training.
+        max_age_s: The age from which a value is too old to act on; null for a goal, which holds until it is changed.
+    """
+
+    name: Name
+    robot: Name | None
+    source: Literal["sensor", "supervisor", "goal"]
+    supplied_by: Text | None
+    sensor: Name | None
+    joints: Names
+    link: Name | None
+    mount: Mount | None
+    shape: Shape
+    dtype: DType
+    components: Names
+    unit: Text
+    frame: Name | None
+    range: tuple[Bounds, Bounds] | None
+    rate_hz: Positive
+    latency_s: NotNegative
+    max_age_s: Positive | None
+
+
+class Memory(Record, frozen=True):
+    """A tensor that the policy passes to itself: input `name`, output `name` with `_next`.
+
+    Attributes:
+        initial: The value at the start of an episode: one number for all, or one for each in C order.
+    """
+
+    name: Name
+    shape: Shape
+    dtype: DType
+    initial: Numbers
+
+
+class Output(Record, frozen=True):
+    """The command of one actuator.
+
+    Attributes:
+        kind: What the command sets in each joint: `velocity`, `position` or `effort`. `thrust` of links along their z axes. `cartesian`:
+            the position of the origin of a link, for which the robot computes the joints. Else the kind of a package.
+        joints: The joints that the actuator drives; for `velocity`, `position` and `effort` one for each component.
+        links: The links that the actuator pushes or moves.
+        shape: `[n]`.
+        range: The smallest and the largest command of each component; null where there is no limit. The graph clips to it.
+        max_rate: The fastest change of the command of each component, in its unit per s; null where there is no limit.
+        max_effort: The largest torque or force in each joint (N m or N); null where there is no limit.
+        stiffness: Of a position controller, in N m/rad or N/m; null for that of the robot.
+        damping: Of a position controller, in N m s/rad or N s/m; null for that of the robot.
+        attitude: Roll, pitch and yaw (rad) that a `cartesian` command keeps; null for any.
+        safe: The command of each component when the policy must not act; null: the last command is held.
+    """
+
+    name: Name
+    robot: Name
+    actuator: Name
+    kind: Name
+    joints: Names
+    links: Names
+    shape: Shape
+    dtype: Literal["float64"]
+    components: Names
+    unit: Text
+    frame: Name | None
+    range: tuple[Bounds, Bounds]
+    max_rate: Bounds
+    max_effort: Bounds
+    stiffness: NotNegative | None
+    damping: NotNegative | None
+    attitude: Triple | None
+    safe: Bounds
+
+
+class ActionPart(Record, frozen=True):
+    """A part of the output `action`: a choice, with what each option sets, or a number of which -1 and 1 mean a range."""
+
+    name: Name
+    unit: Text = ""
+    low: Finite | None = None
+    high: Finite | None = None
+    options: dict[Name, dict[Name, Finite]] = {}
+
+
+class RobotFile(Record, frozen=True):
+    """The robot file of a robot, by its name in the run."""
+
+    file: Name
+    digest: Digest
+
+
+class Scenario(Record, frozen=True):
+    """The scenario that the policy was trained in.
+
+    Attributes:
+        digest: Of the compiled scenario; `task_digest` leaves out names, training and evaluation.
+        interface: What policy and scenario agree on, by agent and item; `deepbots export --check` compares it.
+        licenses: SPDX identifiers in the files of the scenario, by file.
+    """
+
+    name: Name
+    summary: Text
+    digest: Digest
+    task_digest: Digest
+    robots: dict[Name, RobotFile]
+    interface: dict[Name, dict[Name, Text]]
+    licenses: dict[Name, Text]
+
+
+class Training(Record, frozen=True):
+    """How the policy was trained; `versions` are those of packages."""
+
+    algorithm: Text
+    model: Literal["best", "last"]
+    seed: int
+    steps: int | None
+    engine: Text
+    versions: dict[Name, Text]
+
+
+class Evaluation(Record, frozen=True):
+    """The result on held-out episodes, with 95 % intervals; `text` says the same in a sentence."""
+
+    text: Text
+    episodes: int
+    seed: int
+    mean_return: Finite
+    return_interval: tuple[Finite, Finite] | None
+    success_rate: Finite | None
+    success_interval: tuple[Finite, Finite] | None
+    solved: bool | None
+
+
+class RosTopic(Record, frozen=True):
+    """The ROS 2 topic of an input or an output; `part` is the part of its messages, null for the one that fits."""
+
+    topic: Annotated[str, Meta(max_length=128, pattern="^/[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*$")]
+    type: Name
+    part: Name | None
+
+
+class BundleInfo(Record, frozen=True):
+    """The content of `bundle.json`.
+
+    Attributes:
+        rate_hz: Steps of the policy per second; another rate needs another training.
+        action: The parts of the output `action`, which is the action in the form that the environment takes.
+        files: The SHA-256 of `policy.onnx` and `parity.npz`.
+        evaluation: Null for a run that was not evaluated.
+        ros: The ROS 2 topics of inputs and outputs, by name; others have those of `deepbots_robot.topics.first_mapping`.
+    """
+
+    format: Literal[1]
+    deepbots: Name
+    scenario: Scenario
+    training: Training
+    rate_hz: Positive
+    timestep_s: Positive
+    inputs: Annotated[tuple[Input, ...], Meta(max_length=MAX_FIELDS)]
+    memory: Annotated[tuple[Memory, ...], Meta(max_length=MAX_FIELDS)]
+    outputs: Annotated[tuple[Output, ...], Meta(min_length=1, max_length=MAX_FIELDS)]
+    action: Annotated[tuple[ActionPart, ...], Meta(min_length=1, max_length=MAX_FIELDS)]
+    files: dict[Name, Digest]
+    evaluation: Evaluation | None
+    ros: dict[Name, RosTopic] = {}
+
+    @property
+    def choices(self) -> tuple[int, ...]:
+        """The number of options of each choice, in order."""
+        return tuple(len(part.options) for part in self.action if part.options)
+
+
+class _Format(msgspec.Struct):
+    format: int
+
+
+def encode(info: BundleInfo) -> bytes:
+    """`bundle.json`."""
+    return msgspec.json.format(msgspec.json.encode(info), indent=2) + b"\n"
+
+
+def decode(content: bytes) -> BundleInfo:
+    """The records of `bundle.json`, whose parts fit each other.
+
+    Raises:
+        BundleError: The text is no JSON, has another format, an unknown or a missing key, or values that contradict each other.
+    """
+    try:
+        found = msgspec.json.decode(content, type=_Format).format
+        if found != FORMAT:
+            raise BundleError(f"bundle.json has format {found}, but this version of deepbots_robot reads format {FORMAT}")
+        info = msgspec.json.decode(content, type=BundleInfo)
+    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:  # a ValidationError is a DecodeError
+        raise BundleError(f"bundle.json is damaged: {' '.join(str(error).split())[:200]}") from error
+    problem = next(_problems(info), None)
+    if problem is not None:
+        raise BundleError(f"bundle.json contradicts itself: {problem}")
+    return info
+
+
+def plain(info: BundleInfo) -> Mapping[str, Any]:
+    """The content as `json` reads it."""
+    found: Mapping[str, Any] = json.loads(msgspec.json.encode(info))
+    return found
+
+
+def size_of(shape: tuple[int, ...]) -> int:
+    """The number of values in a tensor."""
+    size = 1
+    for side in shape:
+        size *= side
+    return size
+
+
+def _problems(info: BundleInfo) -> Iterator[str]:
+    """What no schema says: names are unique, and lists have the length of their tensor."""
+    if abs(info.rate_hz * info.timestep_s - 1.0) > 1e-6:
+        yield f"rate_hz {info.rate_hz:g} is not 1 / timestep_s {info.timestep_s:g}"
+    given = [*(entry.name for entry in info.inputs), *(entry.name for entry in info.memory)]
+    made = [*(entry.name for entry in info.outputs), *(f"{entry.name}_next" for entry in info.memory), "action", "scores"]
+    twice = [name for name, count in Counter([*given, *made]).items() if count > 1]
+    if twice:
+        yield f"two tensors have the name '{twice[0]}'"
+    tensors: tuple[Input | Memory | Output, ...] = (*info.inputs, *info.memory, *info.outputs)
+    for tensor in tensors:
+        if size_of(tensor.shape) > MAX_NUMBERS:
+            yield f"'{tensor.name}' has more than {MAX_NUMBERS} numbers"
+    for memory in info.memory:
+        if len(memory.initial) not in (1, size_of(memory.shape)):
+            yield f"'{memory.name}' has {len(memory.initial)} initial numbers and {size_of(memory.shape)} in its shape"
+    for entry in info.inputs:
+        yield from _wrong_lengths(entry, {"components": entry.components, "joints": entry.joints})
+        yield from _wrong_range(entry)
+    for output in info.outputs:
+        yield from _wrong_output(output)
+    if any(not part.options and (part.low is None or part.high is None or part.low >= part.high) for part in info.action):
+        yield "a part of the action has neither options nor a range"
+
+
+def _wrong_output(output: Output) -> Iterator[str]:
+    if len(output.shape) != 1:
+        yield f"the command '{output.name}' has the shape {list(output.shape)}"
+    yield from _wrong_lengths(output, {"components": output.components, "max_rate": output.max_rate, "safe": output.safe})
+    yield from _wrong_range(output)
+    ends = zip(output.safe, *output.range, strict=False)
+    if any(safe is not None and ((low is not None and safe < low) or (high is not None and safe > high)) for safe, low, high in ends):
+        yield f"the safe command of '{output.name}' is outside of its range"
+
+
+def _wrong_lengths(field: Input | Output, lists: Mapping[str, tuple[Any, ...]]) -> Iterator[str]:
+    for key, values in lists.items():
+        if values and len(values) != field.shape[0]:
+            yield f"'{field.name}' has {len(values)} {key} and the shape {list(field.shape)}"
+
+
+def _wrong_range(field: Input | Output) -> Iterator[str]:
+    if field.range is None:
+        return
+    if any(len(ends) != field.shape[0] for ends in field.range):
+        yield f"'{field.name}' has a range of another length than its shape {list(field.shape)}"
+    if any(low is not None and high is not None and low > high for low, high in zip(*field.range, strict=False)):
+        yield f"'{field.name}' has a range whose low end is above the high one"

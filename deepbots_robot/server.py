@@ -1,0 +1,299 @@
+"""The loop that acts for a robot: checks what comes, asks the policy once per step, limits its commands, and watches over silence.
+
+A step happens when every input has a new value, and no more often than the bundle's rate. Where a value is missing, the step uses the
+last one while it is young enough. Otherwise the robot gets the safe posture in every step until all values are there again: on silence,
+and after a message that is wrong.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from deepbots_robot.intake import Input, Intake, Refusal
+from deepbots_robot.link import Array, Link
+from deepbots_robot.topics import ACTION, Field
+
+EARLY = 0.25
+"""The share of a period by which a step may come before its time, since messages do not come evenly."""
+LATE = 0.5
+"""The share of a period after which a step no longer waits for new values."""
+_LONGEST_WAIT = 0.1  # s, so that a signal is noticed
+
+
+@dataclass(frozen=True)
+class Output:
+    """The command of one actuator.
+
+    Attributes:
+        field: Its name, shape and unit.
+        low: Smallest command, -inf without a limit.
+        high: Largest command, inf without a limit.
+        max_rate: The largest change per s, inf without a limit.
+        safe: The command of the safe posture; NaN holds the last command.
+    """
+
+    field: Field
+    low: Array
+    high: Array
+    max_rate: Array
+    safe: Array
+
+
+class Policy(Protocol):
+    """What acts; `deepbots_robot.Policy` is one."""
+
+    def step(self, values: Mapping[str, Any]) -> Mapping[str, Array]: ...
+
+    def reset(self) -> None: ...
+
+
+class Log(Protocol):
+    """Takes what happens; see `log.py`."""
+
+    def step(self, stamp: float, values: Mapping[str, Array], commands: Mapping[str, Array], answer: float, posture: str) -> None: ...
+
+    def event(self, stamp: float, kind: str, text: str) -> None: ...
+
+
+class Commands:
+    """Keeps commands finite, within their limits, and no faster than actuators may change."""
+
+    def __init__(self, outputs: Sequence[Output]) -> None:
+        self._outputs = outputs
+        self._last: dict[str, Array] = {}
+        self.limited = 0
+
+    def limit(self, commands: Mapping[str, Array], elapsed: float) -> dict[str, Array] | None:
+        """The commands that may be sent `elapsed` s after the last ones; None if one is missing, of another shape, or not finite."""
+        found: dict[str, Array] = {}
+        changed = False
+        for output in self._outputs:
+            command = commands.get(output.field.name)
+            if command is None or np.shape(command) != output.field.shape or not np.isfinite(command).all():
+                return None
+            wanted = np.asarray(command, float)
+            value = np.clip(wanted, output.low, output.high)
+            last = self._last.get(output.field.name)
+            if last is not None:
+                reach = output.max_rate * elapsed
+                value = np.clip(value, last - reach, last + reach)
+            changed |= bool((value != wanted).any())
+            found[output.field.name] = value
+        self._last = found
+        self.limited += changed
+        return found
+
+    def safe(self) -> dict[str, Array]:
+        """The safe posture: what a component cannot say holds its last command, or is left out if there was none."""
+        found = {}
+        for output in self._outputs:
+            last = self._last.get(output.field.name)
+            held = np.full(output.field.shape, np.nan) if last is None else last
+            value = np.where(np.isnan(output.safe), held, output.safe)
+            if np.isfinite(value).all():
+                found[output.field.name] = value
+        self._last = {**self._last, **found}
+        return found
+
+
+class Server:
+    """A policy that acts for one robot over a link."""
+
+    def __init__(
+        self,
+        policy: Policy,
+        inputs: Sequence[Input],
+        outputs: Sequence[Output],
+        link: Link,
+        rate: float,
+        *,
+        speed: float = 1.0,
+        lockstep: bool = False,
+        log: Log | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """`rate` is in steps per second of the robot; `speed` is how many of its seconds pass in one second.
+
+        With `lockstep` the robot waits for each answer: a step happens whenever all inputs have new values, and silence is no fault.
+        """
+        self.intake = Intake(inputs, None if lockstep else speed)
+        self.commands = Commands(outputs)
+        self.link = link
+        self.answers: list[float] = []
+        self.steps = self.safe_steps = self.held_steps = self.episodes = 0
+        self.faults: Counter[str] = Counter()
+        """How often the robot went into the safe posture, by kind of reason."""
+        self._policy, self._lockstep, self._log, self._clock = policy, lockstep, log, clock
+        self._speed, self._step_time = speed, 1.0 / rate
+        self._period = self._step_time / speed
+        self._due = -np.inf
+        self._fault = ""  # the kind of reason why the robot is in the safe posture
+        self._last_sent: Mapping[str, Array] = {}
+        self._sent_at = clock()
+
+    def run(self, stopped: Callable[[], bool] = lambda: False) -> None:
+        """Serve until `stopped`; the safe posture is the last command."""
+        try:
+            while not stopped():
+                self.link.wait(self._patience())
+                self.turn()
+        finally:
+            if self.steps:
+                with suppress(OSError):
+                    self._send_safe("end", "the server ends")
+
+    def _patience(self) -> float:
+        """How long nothing has to be done, in s."""
+        if self._lockstep or not np.isfinite(self._due):
+            return _LONGEST_WAIT
+        now = self._clock()
+        return float(min(max(0.0, min(self._due + LATE * self._period, self.intake.deadline()) - now), _LONGEST_WAIT))
+
+    def turn(self) -> None:
+        """Take what has arrived, and act if it is time."""
+        wrong: Refusal | None = None
+        again = False
+        for arrival in self.link.take():
+            now = self._clock()
+            if arrival.kind == "reset" and not arrival.problem:
+                self._begin(arrival.number, arrival.stamp)
+                continue
+            refusal = self.intake.take(arrival, now)
+            if refusal is not None and not refusal.is_harmless:
+                wrong = refusal
+                self._event("refused", f"{arrival.source}: {refusal.text}")
+            again |= refusal is not None and refusal.is_harmless
+        now = self._clock()
+        if self._lockstep:
+            self._answer(wrong, again)
+        elif wrong is not None and (not self._fault or now >= self._due - EARLY * self._period):
+            self._send_safe(wrong.kind, wrong.text)
+        elif np.isfinite(self._due) or self.intake.complete():
+            self._keep_time(now)
+
+    def _answer(self, wrong: Refusal | None, again: bool) -> None:
+        """In lockstep: one answer for each complete set of inputs; a set that comes again gets the same answer."""
+        if self.intake.complete():
+            self._step()
+        elif wrong is not None:
+            self._send_safe(wrong.kind, wrong.text)
+        elif again and self._last_sent:
+            self.link.send(self._last_sent, self._stamp())
+
+    def _keep_time(self, now: float) -> None:
+        stale = self.intake.stale(now)
+        if stale:
+            if not self._fault or now >= self._due:
+                self._send_safe("silence", f"no new value of {', '.join(stale[:3])}")
+        elif self.intake.complete() and now >= self._due - EARLY * self._period:
+            self._step()
+        elif now >= self._due + LATE * self._period:
+            self.held_steps += 1
+            self._step()
+
+    def _step(self) -> None:
+        received = self.intake.newest()[1]
+        values = self.intake.values()
+        try:
+            found = self._policy.step(values)
+        except Exception as error:  # noqa: BLE001  whatever a graph raises, the robot gets a command
+            self._send_safe("policy", f"the policy fails: {' '.join(str(error).split())[:120]}")
+            return
+        now = self._clock()
+        passed = 0.0 if self._lockstep else (now - self._sent_at) * self._speed
+        commands = self.commands.limit(found, max(passed, self._step_time))
+        if commands is None:
+            self._send_safe("policy", "the policy computes a command that is not finite")
+            return
+        if self._fault:
+            self._event("resumed", "all inputs are there again")
+            self._fault = ""
+        self._send({ACTION: np.atleast_1d(found[ACTION]), **commands} if ACTION in found else commands)
+        answer = self._clock() - received
+        self.steps += 1
+        self.answers.append(answer)
+        self._pace(now)
+        if self._log is not None:
+            self._log.step(self._stamp(), values, commands, answer, "policy")
+
+    def _send_safe(self, kind: str, reason: str) -> None:
+        now = self._clock()
+        commands = self.commands.safe()
+        if kind != self._fault:
+            self._event("safe", reason)
+            self.faults[kind] += 1
+        self._fault = kind
+        self.safe_steps += 1
+        self._send(commands)
+        self._pace(now)
+        if self._log is not None:
+            self._log.step(self._stamp(), {}, commands, 0.0, "safe")
+
+    def _send(self, commands: Mapping[str, Array]) -> None:
+        self._last_sent, self._sent_at = commands, self._clock()
+        if commands:
+            self.link.send(commands, self._stamp())
+
+    def _pace(self, now: float) -> None:
+        """The time of the next step: after one period, without catching up steps that were missed."""
+        self._due = max(self._due + self._period, now + self._period * (1.0 - EARLY))
+
+    def _stamp(self) -> float:
+        """The time of a command: now, or in lockstep that of the values that it answers."""
+        newest = self.intake.newest()[0] if self._lockstep else None
+        return time.time() if newest is None else newest
+
+    def _begin(self, number: int, stamp: float | None) -> None:
+        self.episodes += 1
+        self._policy.reset()
+        self.intake.begin(stamp)
+        self._last_sent = {}
+        self._due = -np.inf
+        self._fault = ""
+        self._event("episode", str(number))
+
+    def _event(self, kind: str, text: str) -> None:
+        if self._log is not None:
+            self._log.event(self._stamp(), kind, text)
+
+    def report(self) -> dict[str, Any]:
+        """What was served: times in s, counts of messages, and why messages were refused."""
+        answers = np.array(self.answers or [np.nan])
+        middle, most = (float(np.quantile(answers, share)) if self.answers else None for share in (0.5, 0.99))
+        return {
+            "link": self.link.name,
+            "steps": self.steps,
+            "episodes": self.episodes,
+            "answer_median": middle,
+            "answer_p99": most,
+            "answer_max": float(answers.max()) if self.answers else None,
+            "held_steps": self.held_steps,
+            "limited_steps": self.commands.limited,
+            "safe_steps": self.safe_steps,
+            "safe_because": dict(self.faults),
+            "messages": self.intake.received,
+            "refused": {kind: {"count": count, "first": self.intake.examples[kind]} for kind, count in self.intake.refused.items()},
+        }
+
+
+def report_lines(report: Mapping[str, Any]) -> list[str]:
+    """A report for people."""
+    times = [report[name] for name in ("answer_median", "answer_p99", "answer_max")]
+    shown = ["none" if each is None else f"{each * 1e3:.2f} ms" for each in times]
+    lines = [
+        report["link"],
+        f"  steps        {report['steps']:,} in {report['episodes']:,} episodes; {report['held_steps']:,} with a value from before,"
+        f" {report['limited_steps']:,} with a limited command",
+        f"  answer       median {shown[0]}, 99th percentile {shown[1]}, longest {shown[2]}",
+        f"  safe posture {report['safe_steps']:,} commands",
+        *(f"    {count:,} times because of: {reason}" for reason, count in report["safe_because"].items()),
+        f"  messages     {report['messages']:,} received, {sum(entry['count'] for entry in report['refused'].values()):,} refused",
+    ]
+    return lines + [f"    {entry['count']:,} {kind}, the first: {entry['first']}" for kind, entry in report["refused"].items()]

@@ -1,0 +1,253 @@
+"""Serving a bundle: its fields, the link that was asked for, the loop until a signal, and the report."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deepbots_robot import model
+from deepbots_robot.intake import Input
+from deepbots_robot.link import Array, Link
+from deepbots_robot.server import Output, Server
+from deepbots_robot.topics import Field, Topic, action_field, conflicts, first_mapping
+
+if TYPE_CHECKING:
+    from deepbots_robot.bundle import Bundle
+    from deepbots_robot.log import LogWriter
+
+MAX_SPEED = 1000.0
+_QUIET = 5.0
+"""Seconds without a step after which the server says what it waits for."""
+
+
+class ServeError(Exception):
+    """A bundle cannot be served as it was asked for; one sentence."""
+
+
+@dataclass(frozen=True)
+class Transport:
+    """Which link to open. With neither address nor interface it is ROS 2 on the loopback interface."""
+
+    zmq: str | None = None
+    interface: str | None = None
+    domain: int = 0
+
+    def open(self, receives: Sequence[tuple[Field, Topic]], sends: Sequence[tuple[Field, Topic]], *, robot: bool) -> Link:
+        """One end of the link.
+
+        Raises:
+            ServeError: The package of the link is missing, or the address, the interface or a topic cannot be used.
+        """
+        extra = "ros" if self.zmq is None else "zmq"
+        try:
+            if self.zmq is not None:
+                from deepbots_robot.zeromq import ZmqLink
+
+                return ZmqLink(self.zmq, [field for field, _ in receives], [field for field, _ in sends], robot=robot)
+            from deepbots_robot.dds import RosLink
+
+            return RosLink(receives, sends, robot=robot, interface=self.interface, domain=self.domain)
+        except ModuleNotFoundError as error:
+            raise ServeError(f"{error.name} is not installed; install it with: pip install 'deepbots-cli[{extra}]'") from None
+        except ValueError as error:
+            raise ServeError(str(error)) from None
+
+
+# The fields of a bundle
+
+
+def field_of(entry: model.Input | model.Output) -> Field:
+    """An input or an output as a field."""
+    if isinstance(entry, model.Output):
+        return Field(entry.name, entry.robot, entry.kind, entry.unit or "1", entry.shape, _joints(entry), entry.components)
+    joints = entry.joints if entry.source == "sensor" else ()
+    return Field(entry.name, entry.robot or "", entry.sensor or "value", entry.unit or "1", entry.shape, joints, entry.components)
+
+
+def _joints(entry: model.Output) -> tuple[str, ...]:
+    """The joints of the numbers; none where the numbers are not those of joints."""
+    return entry.joints if entry.kind in ("velocity", "position", "effort") and len(entry.joints) == entry.shape[0] else ()
+
+
+def inputs_of(info: model.BundleInfo) -> list[Input]:
+    """The inputs with the limits that messages are checked by."""
+    return [
+        Input(
+            field_of(entry),
+            entry.dtype,
+            *_ends(entry.range, entry.shape),
+            max_age=np.inf if entry.max_age_s is None else entry.max_age_s,
+            every_step=entry.source != "goal" and entry.rate_hz >= info.rate_hz * 0.999,
+        )
+        for entry in info.inputs
+    ]
+
+
+def outputs_of(info: model.BundleInfo) -> list[Output]:
+    """The outputs with the limits that commands are kept in."""
+    return outputs_of_entries(info.outputs)
+
+
+def outputs_of_entries(entries: Sequence[model.Output]) -> list[Output]:
+    """As `outputs_of`."""
+    return [
+        Output(
+            field_of(entry),
+            *_ends(entry.range, entry.shape),
+            max_rate=_filled(entry.max_rate, entry.shape, np.inf),
+            safe=_filled(entry.safe, entry.shape, np.nan),
+        )
+        for entry in entries
+    ]
+
+
+def _ends(ends: tuple[tuple[float | None, ...], tuple[float | None, ...]] | None, shape: tuple[int, ...]) -> tuple[Array, Array]:
+    low, high = ends if ends is not None else ((), ())
+    return _filled(low, shape, -np.inf), _filled(high, shape, np.inf)
+
+
+def _filled(values: Sequence[float | None], shape: tuple[int, ...], missing: float) -> Array:
+    return np.array([missing if each is None else each for each in values]) if values else np.full(shape, missing)
+
+
+def mapped(fields: Sequence[Field], given: Mapping[str, Topic], *, commands: bool = False) -> list[tuple[Field, Topic]]:
+    """Each field with its topic: the given one, else the first that fits.
+
+    Raises:
+        ServeError: Two fields cannot share a topic, or a field does not fit.
+    """
+    topics = {**first_mapping(fields, commands=commands), **given}
+    found = {field.name: (field, topics[field.name]) for field in fields}
+    try:
+        problems = conflicts(found)
+    except ValueError as error:
+        raise ServeError(str(error)) from None
+    if problems:
+        name, problem = next(iter(problems.items()))
+        raise ServeError(f"{name}: {problem}; name its topic under `ros` in the scenario, and export the run again")
+    return list(found.values())
+
+
+# Serving
+
+
+def serve(
+    bundle: Bundle,
+    transport: Transport,
+    *,
+    speed: float = 1.0,
+    lockstep: bool = False,
+    log: Path | None = None,
+    seconds: float | None = None,
+    note: Callable[[str], None] = lambda text: None,
+) -> dict[str, Any]:
+    """Serve until SIGINT or SIGTERM, or for `seconds`; returns the report of the server.
+
+    Args:
+        note: Called with sentences about what happens, at most one of each kind per second.
+
+    Raises:
+        ServeError: The link or the log cannot be opened.
+    """
+    if not 0.0 < speed <= MAX_SPEED:
+        raise ServeError(f"the speed {speed:g} is not between 0 and {MAX_SPEED:g}")
+    inputs, outputs = inputs_of(bundle.info), outputs_of(bundle.info)
+    given = {name: Topic(topic.topic, topic.type, topic.part) for name, topic in bundle.info.ros.items()}
+    receives = mapped([each.field for each in inputs], given)
+    sends = [
+        action_field(len(bundle.info.choices) or len(bundle.info.action)),
+        *mapped([each.field for each in outputs], given, commands=True),
+    ]
+    writer = _opened(log, bundle)
+    try:
+        link = transport.open(receives, sends, robot=False)
+    except ServeError:
+        if writer is not None:
+            writer.close()
+        raise
+    server = Server(bundle.start(), inputs, outputs, link, bundle.info.rate_hz, speed=speed, lockstep=lockstep, log=_Notes(writer, note))
+    sources = ", ".join(dict.fromkeys(topic.name for _, topic in receives)) if transport.zmq is None else "the robot"
+    note(f"{bundle.info.scenario.name} acts at {bundle.info.rate_hz:g} Hz over {link.name}; it waits for {sources}")
+    try:
+        with _stopping() as stopped:
+            server.run(_until(stopped, seconds, server, note))
+    finally:
+        link.close()
+        if writer is not None:
+            writer.close()
+    return server.report()
+
+
+def _opened(path: Path | None, bundle: Bundle) -> LogWriter | None:
+    if path is None:
+        return None
+    try:
+        from deepbots_robot.log import LogWriter
+
+        return LogWriter(path, {"scenario": bundle.info.scenario.name, "digest": bundle.info.scenario.digest})
+    except ModuleNotFoundError as error:
+        raise ServeError(f"{error.name} is not installed; install it with: pip install {error.name}") from None
+    except OSError as error:
+        raise ServeError(f"{path} cannot be written: {(error.strerror or 'unknown reason').lower()}") from None
+
+
+class _Notes:
+    """Passes on what happens to a log, and the more important part of it to a person."""
+
+    def __init__(self, log: LogWriter | None, note: Callable[[str], None]) -> None:
+        self._log, self._note = log, note
+        self._said: dict[str, float] = {}
+
+    def step(self, stamp: float, values: Mapping[str, Array], commands: Mapping[str, Array], answer: float, posture: str) -> None:
+        if self._log is not None:
+            self._log.step(stamp, values, commands, answer, posture)
+
+    def event(self, stamp: float, kind: str, text: str) -> None:
+        if self._log is not None:
+            self._log.event(stamp, kind, text)
+        now = time.monotonic()
+        if kind != "episode" and now - self._said.get(kind, -10.0) > 1.0:
+            self._said[kind] = now
+            self._note({"safe": "safe posture: ", "refused": "refused: "}.get(kind, "") + text)
+
+
+class _stopping:  # noqa: N801  a context manager
+    """Within, SIGINT and SIGTERM make `stopped()` true instead of ending the process."""
+
+    def __enter__(self) -> Callable[[], bool]:
+        self._stopped = False
+        self._before = {}
+        for number in (signal.SIGINT, signal.SIGTERM):
+            with suppress(ValueError):  # not in the main thread
+                self._before[number] = signal.signal(number, self._stop)
+        return lambda: self._stopped
+
+    def _stop(self, *_: object) -> None:
+        self._stopped = True
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+
+def _until(stopped: Callable[[], bool], seconds: float | None, server: Server, note: Callable[[str], None]) -> Callable[[], bool]:
+    began = time.monotonic()
+    said = False
+
+    def done() -> bool:
+        nonlocal said
+        passed = time.monotonic() - began
+        if not said and not server.steps and passed > _QUIET:
+            said = True
+            missing = ", ".join(server.intake.missing()[:5])
+            note(f"no step in {_QUIET:g} s: there is no value of {missing} yet" if missing else f"no step in {_QUIET:g} s")
+        return stopped() or (seconds is not None and passed >= seconds)
+
+    return done

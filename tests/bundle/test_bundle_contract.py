@@ -1,0 +1,77 @@
+"""An exported policy commands what the robots of the simulation apply, to 1e-5 of each command's range, in every scenario that exports."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("onnx")
+pytest.importorskip("onnxruntime")
+
+from deepbots_cli.analysis.deployment import Deployment
+from deepbots_cli.document import shipped
+from deepbots_cli.errors import UsageError
+from tests.bundle.untrained import compared, made
+from tests.few import WORLDS, few
+
+DATA = Path(__file__).parents[1] / "data" / "scenarios"
+FURTHER: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("rail", ()),
+    ("rail", ("messages.format=none",)),
+    ("rail", ("messages.timing=delayed",)),
+    ("drawn", ()),
+    ("pair", ()),
+    ("../../world/hills", ()),
+    ("drone", ()),
+    ("sensed", ()),
+    ("pushed", ()),
+)
+FAST = (*WORLDS, "balancer", "cartpole_wireless", "find_and_avoid", "panda_push")
+
+
+@pytest.mark.parametrize("scenario", few(shipped.scenario_names(), FAST))
+def test_a_bundle_commands_what_the_robots_of_the_simulation_apply(scenario):
+    found = compared(scenario, steps=60)
+    assert found.steps == 60
+    assert found.worst <= 1e-5
+
+
+@pytest.mark.parametrize("scenario", few(shipped.scenario_names(), FAST))
+def test_lint_knows_which_readings_nothing_on_a_robot_measures(scenario):
+    """`DB617` asks for a supplier of each."""
+    step, _, known = made(scenario)
+    of_source = {
+        source: {entry.name for entry in known.info.inputs if entry.source == source} for source in ("sensor", "supervisor", "goal")
+    }
+    deployment = Deployment(step.program)
+    assert of_source["supervisor"] == {*deployment.unmeasured}
+    assert of_source["goal"] == {*deployment.goals}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", shipped.scenario_names())
+def test_over_a_thousand_steps_too(scenario):
+    found = compared(scenario, steps=1000)
+    assert found.steps >= 900  # an episode is left where two options are equally good
+    assert found.worst <= 1e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "overrides"), FURTHER)
+def test_scenarios_of_other_tests_too(name, overrides):
+    assert compared(str(DATA / f"{name}.yaml"), *overrides, steps=100).worst <= 1e-5
+
+
+@pytest.mark.parametrize(
+    ("overrides", "named"),
+    [
+        (["messages.timing=delayed"], "`apply` of rover reads sensors or keeps values, and messages to it arrive late"),
+        (["agent={action_repeat: 3}"], "'running_min' in augment.detour advances in every timestep, but the policy acts in every 3th"),
+        (["observation={previous_reward: -1 .. 1}"], "the policy sees 'previous_reward', and the reward is known in a training alone"),
+    ],
+)
+def test_what_cannot_be_exported_is_named(overrides, named):
+    with pytest.raises(UsageError) as caught:
+        made("find_and_avoid", *overrides)
+    assert named in str(caught.value)

@@ -1,0 +1,327 @@
+"""Loading a bundle: what is damaged, changed or put together from two exports is refused in a sentence, or acts the same."""
+
+from __future__ import annotations
+
+import io
+import json
+import random
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import onnx
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from onnx import TensorProto, helper, numpy_helper
+
+import deepbots_robot
+from deepbots_robot import BundleError, InputError, bundle, model, onnx_file, schema
+from tests.bundle.untrained import write, written
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A policy with two memories, that of a filter on board and the last action."""
+    return written(tmp_path_factory.mktemp("bundle") / "balancer", "balancer")
+
+
+@pytest.fixture(scope="module")
+def choosing(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A policy that chooses."""
+    return written(tmp_path_factory.mktemp("bundle") / "cartpole", "cartpole")
+
+
+def values_of(known: deepbots_robot.Bundle, dice: np.random.Generator) -> dict[str, Any]:
+    return {entry.name: dice.normal(0.0, 3.0, entry.shape) for entry in known.info.inputs}
+
+
+def test_a_policy_remembers_until_it_is_reset(folder: Path) -> None:
+    known = deepbots_robot.load(folder)
+    policy, other = known.start(), known.start()
+    dice = np.random.default_rng(0)
+    rows = [values_of(known, dice) for _ in range(5)]
+    first = [policy.step(row)["bot.wheels"].tolist() for row in rows]
+    again = [policy.step(row)["bot.wheels"].tolist() for row in rows]
+    assert first != again
+    policy.reset()
+    assert [policy.step(row)["bot.wheels"].tolist() for row in rows] == first
+    assert [other.step(row)["bot.wheels"].tolist() for row in rows] == first  # each policy has a memory of its own
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"bot.gyro": [0.0, 0.0]}, "'bot.gyro' has the shape [2]; it must have [3]"),
+        ({"bot.gyro": [0.0, np.nan, 0.0]}, "'bot.gyro' is not finite"),
+        ({"bot.gyro": ["a", "b", "c"]}, "'bot.gyro' is of the type"),
+        ({"bot.gyro": [True, False, True]}, "'bot.gyro' is of the type bool; it must be float64"),
+        ({"bot.compass": 0.0}, "1 unknown (bot.compass)"),
+    ],
+)
+def test_values_that_do_not_fit_change_nothing(folder: Path, change: dict[str, Any], told: str) -> None:
+    known = deepbots_robot.load(folder)
+    policy, other = known.start(), known.start()
+    values = values_of(known, np.random.default_rng(0))
+    for each in (policy, other):
+        each.step(values)
+    with pytest.raises(InputError) as caught:
+        policy.step(values | change)
+    assert told in str(caught.value)
+    assert policy.step(values)["bot.wheels"].tolist() == other.step(values)["bot.wheels"].tolist()
+
+
+def test_a_missing_value_is_named(folder: Path) -> None:
+    with pytest.raises(InputError, match=r"1 missing \(bot.gyro\)"):
+        deepbots_robot.load(folder).start().step({"bot.accel": [0.0, 0.0, 9.81]})
+
+
+# Mutations
+
+
+Mutation = Callable[[random.Random, model.BundleInfo, bytes, bytes], tuple[model.BundleInfo | bytes, bytes, bytes]]
+
+
+def _json(dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes) -> tuple[bytes, bytes, bytes]:
+    """One value of bundle.json changed, removed, repeated or exchanged with its neighbor."""
+    tree = json.loads(model.encode(info))
+    places: list[tuple[Any, Any]] = []
+
+    def collect(node: Any) -> None:
+        for key in node if isinstance(node, dict) else range(len(node)):
+            places.append((node, key))
+            if isinstance(node[key], dict | list):
+                collect(node[key])
+
+    collect({key: value for key, value in tree.items() if key != "files"})
+    collect(tree)
+    node, key = dice.choice([place for place in places if place[0] is not tree["files"] and place[1] != "files"])
+    value = node[key]
+    options: list[Any] = [None, True, -1, 1e6, "other", [], {}, [value], value]
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        options += [-value, value * 2, value + 1, value * 180 / 3.14159, value * 1.01]
+    if isinstance(value, str):
+        options += [value.upper(), value[:-1], value + "x", {"rad": "deg", "m": "cm", "sensor": "goal"}.get(value, "rad/s")]
+    if isinstance(value, list):
+        options += [value[::-1], value[:-1], value * 2]
+    chosen = dice.choice([each for each in options if each != value or type(each) is not type(value)])
+    node[key] = chosen
+    if dice.random() < 0.1 and isinstance(node, dict):
+        del node[key]
+    return json.dumps(tree).encode(), graph, parity
+
+
+def _bytes_of(content: bytes, dice: random.Random) -> bytes:
+    changed = bytearray(content)
+    match dice.randrange(4):
+        case 0:
+            changed[dice.randrange(len(changed))] ^= 1 << dice.randrange(8)
+        case 1:
+            del changed[dice.randrange(len(changed)) :]
+        case 2:
+            at = dice.randrange(len(changed))
+            changed[at : at + dice.randrange(1, 40)] = dice.randbytes(dice.randrange(0, 40))
+        case _:
+            changed += dice.randbytes(8)
+    return bytes(changed)
+
+
+def _graph_bytes(dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes) -> tuple[model.BundleInfo, bytes, bytes]:
+    return info, _bytes_of(graph, dice), parity
+
+
+def _graph_parts(dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes) -> tuple[model.BundleInfo, bytes, bytes]:
+    """A weight, an operator, or the order of arguments, inputs or outputs."""
+    found = onnx.load_from_string(graph)
+    node = dice.choice(found.graph.node)
+    match dice.randrange(5):
+        case 0 | 1:
+            weight = dice.choice(found.graph.initializer)
+            array = numpy_helper.to_array(weight).copy()
+            if array.size and array.dtype.kind == "f":
+                array.flat[dice.randrange(array.size)] *= dice.choice([-1.0, 0.0, 1.5, 1.001, 1e3, float("nan")])
+            weight.CopyFrom(numpy_helper.from_array(array, weight.name))
+        case 2:
+            node.op_type = dice.choice(["Add", "Sub", "Mul", "Tanh", "Relu", "Max", "Min", "Loop", "Identity"])
+        case 3:
+            node.input[:] = list(node.input)[::-1]
+        case _:
+            entries = dice.choice([found.graph.input, found.graph.output])
+            swapped = list(entries)
+            dice.shuffle(swapped)
+            del entries[:]
+            entries.extend(swapped)
+    return info, found.SerializeToString(), parity
+
+
+def _parity_arrays(dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes) -> tuple[model.BundleInfo, bytes, bytes]:
+    with np.load(io.BytesIO(parity)) as archive:
+        arrays = {name: archive[name].copy() for name in archive.files}
+    name = dice.choice(sorted(arrays))
+    array = arrays[name]
+    match dice.randrange(5):
+        case 0:
+            array.flat[dice.randrange(array.size)] += dice.choice([1, 7])
+        case 1:
+            arrays[name] = array[:-1]
+        case 2:
+            arrays[name] = array.astype(dice.choice([np.float16, np.int8, object]))
+        case 3:
+            del arrays[name]
+        case _:
+            arrays[name] = array[::-1].copy()
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)
+    return info, graph, stream.getvalue()
+
+
+def _parity_bytes(dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes) -> tuple[model.BundleInfo, bytes, bytes]:
+    return info, graph, _bytes_of(parity, dice)
+
+
+MUTATIONS: dict[str, Mutation] = {
+    "json": _json,
+    "graph_bytes": _graph_bytes,
+    "graph_parts": _graph_parts,
+    "parity_arrays": _parity_arrays,
+    "parity_bytes": _parity_bytes,
+}
+
+
+@pytest.mark.parametrize("kind", MUTATIONS)
+def test_each_of_many_mutations_with_new_digests_is_refused_or_acts_the_same(folder: Path, tmp_path: Path, kind: str) -> None:
+    """200 mutations in all; what is loaded acts as the original does on inputs that were not recorded."""
+    original = deepbots_robot.load(folder)
+    graph, parity = (folder / bundle.GRAPH_NAME).read_bytes(), (folder / bundle.PARITY_NAME).read_bytes()
+    refused = 0
+    for number in range(40):
+        dice = random.Random(f"{kind} {number}")
+        info, *contents = MUTATIONS[kind](dice, original.info, graph, parity)
+        place = tmp_path / str(number)
+        place.mkdir()
+        write(place, original.info, *contents)
+        if isinstance(info, bytes):
+            tree = json.loads(info)
+            if isinstance(tree, dict):
+                tree["files"] = json.loads((place / bundle.BUNDLE_NAME).read_bytes())["files"]
+            (place / bundle.BUNDLE_NAME).write_bytes(json.dumps(tree).encode())
+        try:
+            found = deepbots_robot.load(place)
+        except BundleError:
+            refused += 1
+            continue
+        assert found.info.inputs == original.info.inputs
+        assert found.info.outputs == original.info.outputs
+        one, other, rows = found.start(), original.start(), np.random.default_rng(number)
+        for _ in range(200):
+            values = values_of(original, rows)
+            assert one.step(values)["bot.wheels"] == pytest.approx(other.step(values)["bot.wheels"], abs=1e-5 * 0.2)
+    assert refused >= 25
+
+
+def test_a_graph_of_another_export_is_refused(folder: Path, choosing: Path, tmp_path: Path) -> None:
+    known = deepbots_robot.load(folder)
+    other = msgspec.structs.replace(known.info, scenario=msgspec.structs.replace(known.info.scenario, summary="other"))
+    place = tmp_path / "mixed"
+    place.mkdir()
+    write(place, other, (folder / bundle.GRAPH_NAME).read_bytes(), (folder / bundle.PARITY_NAME).read_bytes())
+    with pytest.raises(BundleError, match=r"policy.onnx and bundle.json are not of the same export"):
+        deepbots_robot.load(place)
+
+
+def test_an_option_that_is_not_the_best_is_refused_unless_two_are_equally_good(choosing: Path, tmp_path: Path) -> None:
+    known = deepbots_robot.load(choosing)
+    parity = bundle.read_parity(choosing / bundle.PARITY_NAME, known.info)
+    bundle.replay(known, parity)
+    outputs = {name: rows.copy() for name, rows in parity.outputs.items()}
+    outputs["action"][7] = 1 - outputs["action"][7]
+    outputs["cart.wheels"][7] *= -1
+    with pytest.raises(BundleError, match=r"step 7: 'cart\.wheels'"):
+        bundle.replay(known, bundle.Parity(parity.inputs, outputs, parity.starts))
+    outputs["scores"][7] = 0.5
+    bundle.replay(known, bundle.Parity(parity.inputs, outputs, parity.starts))
+
+
+# Hostile files
+
+
+def _graph_with(**parts: Any) -> bytes:
+    value = helper.make_tensor_value_info("x", TensorProto.FLOAT, [1])
+    made = helper.make_graph(parts.pop("nodes", []), "g", [value], [value], parts.pop("weights", []))
+    return helper.make_model(made, **parts).SerializeToString()
+
+
+def test_graphs_that_read_files_or_run_loops_are_refused_before_they_are_opened() -> None:
+    outside = numpy_helper.from_array(np.zeros(4, np.float32), "w")
+    outside.data_location = TensorProto.EXTERNAL
+    outside.external_data.add(key="location", value="/etc/passwd")
+    inner = helper.make_graph([], "inner", [], [])
+    cases = {
+        "a tensor lies in another file": _graph_with(weights=[outside]),
+        "'Loop' is not one": _graph_with(nodes=[helper.make_node("Loop", ["x"], ["y"], body=inner)]),
+        "an attribute holds a tensor or a graph": _graph_with(nodes=[helper.make_node("Add", ["x"], ["y"], body=inner)]),
+        "is of the domain 'com.evil'": _graph_with(nodes=[helper.make_node("Add", ["x"], ["y"], domain="com.evil")]),
+        "operators of 'com.evil'": _graph_with(opset_imports=[helper.make_opsetid("com.evil", 1)]),
+        "has functions": _graph_with(functions=[helper.make_function("d", "f", [], [], [], [helper.make_opsetid("", 17)])]),
+    }
+    for told, graph in cases.items():
+        with pytest.raises(BundleError, match=told):
+            onnx_file.require_plain(graph)
+
+
+@given(st.binary(max_size=200))
+def test_bytes_that_are_no_model_are_refused_or_hold_no_nodes(content: bytes) -> None:
+    with suppress(BundleError):
+        onnx_file.require_plain(content)
+
+
+@given(st.binary(max_size=300) | st.text(max_size=200).map(str.encode))
+def test_bytes_that_are_no_description_are_refused(content: bytes) -> None:
+    with pytest.raises(BundleError, match=r"bundle.json"):
+        model.decode(content)
+
+
+def test_an_archive_that_unpacks_to_too_much_is_refused(folder: Path, tmp_path: Path) -> None:
+    known = deepbots_robot.load(folder)
+    place = Path(shutil.copytree(folder, tmp_path / "bomb"))
+    with zipfile.ZipFile(place / bundle.PARITY_NAME, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in ("input/bot.gyro", "input/bot.accel", "output/bot.wheels", "output/action"):
+            with archive.open(f"{name}.npy", "w") as file:
+                for _ in range(150):
+                    file.write(bytes(1_000_000))
+    with pytest.raises(BundleError, match="more than 500000000 bytes"):
+        bundle.read_parity(place / bundle.PARITY_NAME, known.info)
+
+
+# What is published
+
+
+def test_the_schema_is_that_of_the_records() -> None:
+    """`python -m deepbots_robot.schema` writes it."""
+    assert (ROOT / schema.PATH).read_text(encoding="utf-8") == schema.json_schema()
+
+
+def test_a_bundle_fits_the_published_schema(folder: Path) -> None:
+    jsonschema = pytest.importorskip("jsonschema")
+    published = json.loads((ROOT / schema.PATH).read_text())
+    jsonschema.Draft202012Validator.check_schema(published)
+    jsonschema.validate(json.loads((folder / bundle.BUNDLE_NAME).read_text()), published)
+
+
+def test_a_robot_imports_no_simulator_and_no_learner(folder: Path) -> None:
+    code = f"""
+import sys, deepbots_robot
+deepbots_robot.load({str(folder)!r}).start()
+for name in ("deepbots_cli", "torch", "pybullet", "mujoco", "pydantic", "gymnasium", "onnx", "scipy"):
+    assert name not in sys.modules, name
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

@@ -1,0 +1,104 @@
+"""Bundles of policies without a training, whose weights are spread so that their actions differ."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from functools import cache
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import torch
+
+import deepbots_robot
+from deepbots_cli import api
+from deepbots_cli.insight.export.control import ControlStep
+from deepbots_cli.insight.export.parity import Comparison, recorded_parity
+from deepbots_cli.insight.export.recording import recorded_steps
+from deepbots_cli.learning import learner as learners
+from deepbots_cli.program import Program
+from deepbots_cli.rollout.policies import PolicyDriver
+from deepbots_cli.runtime.spaces import action_space, observation_space
+from deepbots_robot import bundle, model
+
+DIGEST = "0" * 64
+
+
+def learner_of(program: Program, *, seed: int = 0) -> Any:
+    """The untrained policy of a program with a training."""
+    agent = program.agent
+    assert agent.training is not None
+    with torch.random.fork_rng():
+        made = learners.create(learners.Setup(agent.training, observation_space(agent), action_space(agent)))
+        torch.manual_seed(seed)
+        with torch.no_grad():
+            for weight in made.model.policy.parameters():
+                weight.mul_(1.5).add_(0.05 * torch.randn_like(weight))
+    return made
+
+
+@cache
+def made(source: str, *overrides: str) -> tuple[ControlStep, Any, deepbots_robot.Bundle]:
+    """The graph of a scenario, its policy, and the bundle in memory."""
+    program = api.with_learner(api.compile(source, overrides=overrides)).program
+    learner = learner_of(program)
+    step = ControlStep(program, learner)
+    info = info_of(step)
+    return step, learner, bundle.Bundle(info, step.model({bundle.METADATA_KEY: bundle.description_digest(info)}))
+
+
+def info_of(step: ControlStep) -> model.BundleInfo:
+    program = step.program
+    parts = [model.ActionPart(name=name, low=part.low, high=part.high) for part in program.agent.ranges for name in part.names]
+    parts += [model.ActionPart(name=part.name, options={option.name: {} for option in part.options}) for part in program.agent.choices]
+    return model.BundleInfo(
+        format=1,
+        deepbots="0",
+        scenario=model.Scenario(name=program.name, summary="", digest=DIGEST, task_digest=DIGEST, robots={}, interface={}, licenses={}),
+        training=model.Training(algorithm="", model="best", seed=0, steps=0, engine="", versions={}),
+        rate_hz=1.0 / program.period,
+        timestep_s=program.period,
+        inputs=tuple(reading.info for reading in step.readings.values()),
+        memory=tuple(step.memories),
+        outputs=tuple(step.outputs),
+        action=tuple(parts),
+        files={},
+        evaluation=None,
+    )
+
+
+def compared(source: str, *overrides: str, steps: int, engine: str | None = None) -> Comparison:
+    """A bundle beside the simulation of its scenario, in which its policy acts."""
+    step, learner, known = made(source, *overrides)
+    comparison = Comparison(known)
+    recorded = recorded_steps(
+        step.program, [*step.readings.values()], step.outputs, lambda world: PolicyDriver(learner, world), engine=engine
+    )
+    for each in islice(recorded, steps):
+        comparison.add(each)
+    recorded.close()
+    return comparison
+
+
+def written(folder: Path, source: str, *overrides: str) -> Path:
+    """The three files that `deepbots_robot.load` reads, in a new folder."""
+    step, learner, known = made(source, *overrides)
+    folder.mkdir()
+    graph = step.model({bundle.METADATA_KEY: bundle.description_digest(known.info)})
+    write(folder, known.info, graph, recorded_parity(known, step, learner, engine=None))
+    return folder
+
+
+def write(folder: Path, info: model.BundleInfo, graph: bytes, parity: bytes) -> None:
+    files = {bundle.GRAPH_NAME: graph, bundle.PARITY_NAME: parity}
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+    digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
+    (folder / bundle.BUNDLE_NAME).write_bytes(model.encode(msgspec.structs.replace(info, files=digests)))
+
+
+def with_training(program: Program, **changes: Any) -> Program:
+    assert program.agent.training is not None
+    return program.with_agents(training=replace(program.agent.training, **changes))

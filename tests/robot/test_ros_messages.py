@@ -1,0 +1,168 @@
+"""ROS 2 messages: bytes as another implementation writes them, and fields as parts of messages."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+pytest.importorskip("cyclonedds")
+rosbags = pytest.importorskip("rosbags.typesys")
+
+from deepbots_robot import idl, ros  # noqa: E402
+from deepbots_robot.topics import PARTS, Field, Topic, first_mapping, part_of  # noqa: E402
+
+STORE = rosbags.get_typestore(rosbags.Stores.ROS2_HUMBLE)
+FLOATS = st.floats(allow_nan=False, width=32)
+
+
+def _values(name: str) -> st.SearchStrategy[Any]:
+    """Messages of rosbags, which has read the .msg files of ROS 2 Humble."""
+    kinds = STORE.fielddefs[name][1]
+    return st.tuples(*(_value(kind) for _, kind in kinds)).map(lambda values: STORE.types[name](*values))
+
+
+def _value(kind: Any) -> st.SearchStrategy[Any]:
+    node, (inner, *rest) = int(kind[0]), kind[1] if isinstance(kind[1], tuple) else (kind[1],)
+    if node == 2:
+        return _values(inner)
+    if node == 1:
+        if inner == "string":
+            return st.text(st.characters(min_codepoint=1, max_codepoint=0x2FF), max_size=9)
+        if inner.startswith("float"):
+            return FLOATS
+        bits = int(inner.strip("uint"))
+        return st.integers(0, 2**bits - 1) if inner.startswith("u") else st.integers(-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    size = rest[0] if node == 3 else None
+    element = _value(inner)
+    many = st.lists(element, min_size=size or 0, max_size=size or 4)
+    base = inner[1][0] if int(inner[0]) == 1 else ""
+    return many if base in ("string", "") else many.map(lambda row: np.array(row, base))
+
+
+def _ours(kind: Any, message: Any) -> Any:
+    """The same message as our class."""
+    return kind(*(_our_value(field.type, getattr(message, field.name)) for field in fields(kind)))
+
+
+def _our_value(kind: Any, value: Any) -> Any:
+    if isinstance(kind, type) and issubclass(kind, idl.IdlStruct):
+        return _ours(kind, value)
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, list):
+        inner = get_args(kind)[1].subtype if get_args(kind) else None
+        return [_ours(inner, each) if hasattr(each, "__msgtype__") else each for each in value]
+    return value
+
+
+@pytest.mark.parametrize("name", idl.TYPES)
+def test_bytes_are_those_of_rosbags(name: str) -> None:
+    package, kind = name.split("/")
+    assert idl.TYPES[name].__idl_typename__.replace(".", "::") == f"{package}::msg::dds_::{kind}_"
+
+    @settings(max_examples=40, deadline=None)
+    @given(_values(f"{package}/msg/{kind}"))
+    def same(message: Any) -> None:
+        expected = bytes(STORE.serialize_cdr(message, f"{package}/msg/{kind}"))
+        assert _ours(idl.TYPES[name], message).serialize(use_version_2=False) == expected
+
+    same()
+
+
+# Fields as parts of messages
+
+LEGS = ("a", "b", "c")
+FIELDS = (
+    Field("dog.q", "dog", "joint_position", "rad", (3,), LEGS),
+    Field("dog.dq", "dog", "joint_velocity", "rad/s", (3,), LEGS),
+    Field("dog.first", "dog", "joint_position", "rad", (1,), ("a",)),
+    Field("dog.gyro", "dog", "gyro", "rad/s", (3,), components=("x", "y", "z")),
+    Field("dog.scan", "dog", "lidar", "m", (5,), components=("r0", "r1", "r2", "r3", "r4"), scan=(-1.0, 1.0, 3.0)),
+    Field("dog.gap", "dog", "sonar", "m", (1,), scan=(0.0, 0.0, 2.0)),
+    Field("dog.place", "dog", "position", "m", (3,), components=("x", "y", "z")),
+    Field("dog.adc", "dog", "infrared", "1", (8,)),
+    Field("dog.eye", "dog", "camera", "1", (4, 6, 3)),
+    Field("clock", "", "value", "1", (2,)),
+)
+
+
+def test_first_mapping_has_types_of_ros_where_they_fit() -> None:
+    found = {name: (topic.name, topic.type) for name, topic in first_mapping(FIELDS).items()}
+    assert found == {
+        "dog.q": ("/dog/joint_states", "sensor_msgs/JointState"),
+        "dog.dq": ("/dog/joint_states", "sensor_msgs/JointState"),
+        "dog.first": ("/dog/first", "std_msgs/Float64MultiArray"),  # the position of this joint is taken
+        "dog.gyro": ("/dog/gyro", "sensor_msgs/Imu"),
+        "dog.scan": ("/dog/scan", "sensor_msgs/LaserScan"),
+        "dog.gap": ("/dog/gap", "sensor_msgs/Range"),
+        "dog.place": ("/dog/place", "geometry_msgs/PoseStamped"),
+        "dog.adc": ("/dog/adc", "std_msgs/Float64MultiArray"),  # no distance in m
+        "dog.eye": ("/dog/eye", "sensor_msgs/Image"),
+        "clock": ("/supervisor/clock", "std_msgs/Float64MultiArray"),
+    }
+
+
+def test_fields_come_back_from_the_bytes_of_their_messages() -> None:
+    mapping = first_mapping(FIELDS)
+    values = {field.name: np.arange(field.count).reshape(field.shape) for field in FIELDS}
+    by_topic: dict[str, list[tuple[Field, Topic]]] = {}
+    for field in FIELDS:
+        by_topic.setdefault(mapping[field.name].name, []).append((field, mapping[field.name]))
+    for sharing in by_topic.values():
+        codec = ros.Codec(sharing[0][1].type, sharing)
+        message = codec.encode(values, 12.25)
+        again = idl.TYPES[codec.type].deserialize(message.serialize(use_version_2=False))
+        assert ros.stamp_of(again) in (12.25, None)
+        for name, value in codec.decode(again).items():
+            np.testing.assert_array_equal(value, values[name])
+
+
+def test_joints_are_found_by_name_in_any_order() -> None:
+    codec = ros.Codec("sensor_msgs/JointState", [(FIELDS[0], Topic("/s", "sensor_msgs/JointState"))])
+    message = idl.JointState(idl.Header(idl.Time()), ["c", "z", "a", "b"], [3.0, 9.0, 1.0, 2.0], [], [])
+    assert codec.decode(message)["dog.q"].tolist() == [1.0, 2.0, 3.0]
+    message.name[0] = "wheel"
+    with pytest.raises(ValueError, match=r"the joint 'c' of dog\.q is missing"):
+        codec.decode(message)
+
+
+def test_a_free_ray_is_as_far_as_the_scanner_sees() -> None:
+    codec = ros.Codec("sensor_msgs/LaserScan", [(FIELDS[4], Topic("/s", "sensor_msgs/LaserScan"))])
+    message = codec.encode({"dog.scan": [1.0, 2.0, 3.0, math.inf, 1.0]}, 1.0)
+    assert codec.decode(message)["dog.scan"].tolist() == [1.0, 2.0, 3.0, 3.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("field", "topic", "problem"),
+    [
+        (FIELDS[3], Topic("/s", "sensor_msgs/JointState"), "sensor_msgs/JointState has no part for 3 numbers in rad/s"),
+        (
+            FIELDS[0],
+            Topic("/s", "sensor_msgs/JointState", "velocity"),
+            r"`velocity` of sensor_msgs/JointState is in rad/s or m/s, and dog\.q",
+        ),
+        (FIELDS[4], Topic("/s", "sensor_msgs/Range"), "`range` of sensor_msgs/Range has 1 number, and dog.scan is 5 numbers in m"),
+        (FIELDS[7], Topic("/s", "sensor_msgs/LaserScan"), "`ranges` of sensor_msgs/LaserScan is in m, and dog.adc is 8 numbers without"),
+        (FIELDS[8], Topic("/s", "std_msgs/Float64MultiArray"), "a row of numbers, and dog.eye is a picture of 6 x 4"),
+        (FIELDS[0], Topic("/s", "sensor_msgs/Scan"), "'sensor_msgs/Scan' is unknown; the types are"),
+        (FIELDS[0], Topic("joint states", "sensor_msgs/JointState"), "'joint states' is no topic; write one like /dog/joint_states"),
+        (FIELDS[5], Topic("/s", "geometry_msgs/PoseStamped"), "dog.gap fits several parts .* position.x, position.y, position.z"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_its_units(field: Field, topic: Topic, problem: str) -> None:
+    with pytest.raises(ValueError, match=problem):
+        part_of(field, topic)
+
+
+def test_each_part_has_its_attribute() -> None:
+    for type, known in PARTS.items():
+        message = ros._EMPTY[type](idl.Header(idl.Time()))
+        for part in known.values():
+            holder, name = ros._holder(message, part.path)
+            assert hasattr(holder, name)

@@ -1,0 +1,123 @@
+"""`deepbots serve` and `python -m deepbots_robot` as processes: what they import, how much memory they take, and what a kill leaves."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("onnx")
+pytest.importorskip("onnxruntime")
+pytest.importorskip("zmq")
+pytest.importorskip("mcap")
+
+from deepbots_cli.cli import main
+from deepbots_robot.log import read_log
+from tests.bundle.untrained import written
+
+ROOT = Path(__file__).parents[2]
+HEAVY = ("torch", "pybullet", "mujoco", "scipy", "gymnasium", "onnx", "matplotlib", "pandas")
+MAX_MEMORY = 100  # MB
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("serve") / "bundle", "cartpole")
+
+
+@contextmanager
+def running(*words: object) -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen([sys.executable, *map(str, words)], cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+PROGRAM = """
+import json, re, runpy, sys
+sys.argv = ["deepbots_robot", *sys.argv[1:]]
+try:
+    runpy.run_module("{module}", run_name="__main__")
+except SystemExit:
+    pass
+status = open("/proc/self/status").read() if sys.platform == "linux" else "VmHWM: 0 kB"
+print(json.dumps({{"modules": sorted(sys.modules), "memory": int(re.search(r"VmHWM:\\s*(\\d+)", status)[1]) / 1024}}))
+"""
+
+
+@pytest.mark.parametrize("module", ["deepbots_robot", "deepbots_cli"])
+@pytest.mark.parametrize("link", [("--ros", "--domain", 72), ("--zmq", "tcp://127.0.0.1:58731")])
+def test_a_server_imports_no_simulator_and_takes_little_memory(bundle: Path, tmp_path: Path, module: str, link: tuple[object, ...]) -> None:
+    if "--ros" in link:
+        pytest.importorskip("cyclonedds")
+    words = [*(["serve"] if module == "deepbots_cli" else []), bundle, *link, "--seconds", 0.3, "--log", tmp_path / "a.mcap"]
+    with running("-c", PROGRAM.format(module=module), *words) as process:
+        out, err = process.communicate(timeout=60)
+    found = json.loads(out.splitlines()[-1])
+    assert "messages     0 received, 0 refused" in out, err
+    assert not set(HEAVY) & set(found["modules"])
+    assert ("deepbots_cli" in found["modules"]) == (module == "deepbots_cli")
+    assert found["memory"] <= MAX_MEMORY
+
+
+def test_a_killed_robot_ends_in_the_safe_posture_and_a_killed_server_leaves_a_log(bundle: Path, tmp_path: Path) -> None:
+    link, log = f"ipc://{tmp_path}/link", tmp_path / "a.mcap"
+    serve = (*("-m", "deepbots_robot", bundle, "--zmq", link, "--log", log),)
+    with running(*serve) as server, running("-m", "deepbots_cli", "serve", "cartpole", "--as-robot", "--zmq", link) as robot:
+        _until(lambda: log.exists() and sum(topic == "/step" for topic, _, _ in read_log(log)) > 40)
+        robot.send_signal(signal.SIGKILL)
+        _until(lambda: any(content.get("posture") == "safe" for _, _, content in read_log(log)))
+        time.sleep(1.2)
+        killed = time.time()
+        server.send_signal(signal.SIGKILL)
+        server.wait(10)
+    found = list(read_log(log))
+    assert killed - found[-1][1] <= 1.0
+    assert found[-1][2] == {"inputs": {}, "commands": {"cart.wheels": [0.0] * 4}, "answer": 0.0, "posture": "safe"}
+    assert any(content["kind"] == "safe" and "no new value" in content["text"] for topic, _, content in found if topic == "/event")
+
+
+def _until(holds: object) -> None:
+    until = time.monotonic() + 30
+    while time.monotonic() < until:
+        if holds():  # type: ignore[operator]
+            return
+        time.sleep(0.1)
+    pytest.fail("it did not happen within 30 s")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nothing"], "nothing is not a bundle of `deepbots export`: there is no such folder"),
+        (["BUNDLE", "--ros", "--zmq", "tcp://127.0.0.1:5555"], "--ros and --zmq are two links; choose one"),
+        (["BUNDLE", "--zmq", "127.0.0.1:5555"], "'127.0.0.1:5555' is no address of ZeroMQ; write one like tcp://127.0.0.1:5555"),
+        (["BUNDLE", "--zmq", "tcp://127.0.0.1:5555", "--domain", "3"], "--interface and --domain belong to ROS 2"),
+        (["BUNDLE", "--interface", "<x>"], "'<x>' is no network interface; `ip address` lists them"),
+        (["BUNDLE", "--speed", "0"], "--speed 0: write a number above 0, at most 1000"),
+        (["BUNDLE", "--episodes", "3"], "belong to a simulated robot; add --as-robot or leave them out"),
+        (["BUNDLE", "--log", "missing/a.mcap"], "missing/a.mcap cannot be written: no such file or directory"),
+        (["cartpole", "--as-robot", "--log", "a.mcap"], "--log and --seconds belong to the policy"),
+        (["multi_cartpole", "--as-robot"], "has copies of a robot"),
+    ],
+)
+def test_what_cannot_be_served_is_said_in_a_sentence(
+    bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], words: list[str], said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["serve", *(str(bundle) if word == "BUNDLE" else word for word in words)]) != 0
+    told = " ".join(capfd.readouterr().err.split())
+    assert said in told
+    assert "Traceback" not in told
+    assert os.listdir(tmp_path) == []
