@@ -7,6 +7,7 @@ episode.py     the table that explains an episode
 training.py    what is known of a training: its logs, and a few short episodes
 diagnosis.py   the table of causes why a training does not learn; stages.py those of stages, starts and rare success,
                rewards.py those of the reward
+robot_log.py   the log of a robot beside the simulation: values with another distribution
 transfer.py    what differs between two worlds of a scenario, such as two engines, and which change explains it
 retry.py       trainings that follow one another with the values that the diagnosis advises
 report.py      one HTML file about a run or a group: result, curves, episodes, scenario; figures.py its figures

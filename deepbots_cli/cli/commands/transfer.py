@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -41,6 +42,7 @@ def command(
     min_return: Annotated[float | None, option("--min-return VALUE", "Mean return required in both worlds.")] = None,
     episodes: Annotated[int, integer("--episodes N", "Episodes of each evaluation.")] = 50,
     quick: Annotated[bool, option("--quick", "Leave out the evaluations with noise, delays, other masses and weaker motors.")] = False,
+    log: Annotated[Path | None, option("--log FILE", "Compare an MCAP log of `deepbots serve` with the simulation instead.")] = None,
     seed: Annotated[
         int | None, integer("--seed N", "Root seed of the starts; by default the seed of the training.", 0, MAX_SEED, ADVANCED)
     ] = None,
@@ -59,16 +61,23 @@ def command(
     With --min-success or --min-return, the exit code is 1 if the policy misses it in one of the two worlds, or at the first level of one
     of the conditions.
 
+    --log FILE compares what a robot measured while `deepbots serve` acted for it with the simulation: mean, standard deviation and
+    Kolmogorov-Smirnov distance of each value, and the noise or bias that the simulation lacks.
+
     \b
       deepbots transfer runs/cartpole-0-1
       deepbots transfer runs/cartpole-0-1 runs/cartpole-mujoco-0-1 --min-success 90%
       deepbots transfer runs/cartpole-0-1 --scenario measured.yaml --quick
+      deepbots transfer runs/cartpole-0-1 --log robot.mcap
 
     Next: let episodes draw what differs, such as `mass: uniform(0.8 .. 1.2) * urdf` under `links`, and train again.
     """
     opened = [Run.open(Source.open(path, permissions, SourceKind.RUN).path) for path in runs]
     for run in opened:
         Gates(min_success, min_return, False).check(run.program)
+    if log is not None:
+        _compare_log(opened, log, as_json=as_json, others=(engine, scenario, min_success, min_return))
+        return
     with terminal.transient_line("loading the policy ..."):
         from deepbots_cli.insight.transfer import transfer  # which imports torch
     found = []
@@ -95,6 +104,33 @@ def command(
     terminal.show([_data(each) for each in found], *("\n".join(_lines(each)) for each in found), as_json=as_json)
     if any(not each.passed for each in found):
         raise typer.Exit(FAILED)
+
+
+def _compare_log(runs: Sequence[Run], path: Path, *, as_json: bool, others: Sequence[object]) -> None:
+    if len(runs) > 1 or any(other is not None for other in others):
+        raise UsageError("--log compares a log with the simulation of one run; leave out other runs, worlds and requirements")
+    from deepbots_cli.insight.robot_log import DIFFERENT, compare_log
+
+    (run,) = runs
+    with terminal.transient_line("simulating ..."):
+        found = compare_log(run, path)
+    different = [each for each in found if each.distance >= DIFFERENT]
+    rows = [
+        {
+            "value": f"{each.name} ({each.unit})" if each.unit else each.name,
+            "robot": f"{number(each.robot[0])} ± {number(each.robot[1])}",
+            "simulation": f"{number(each.simulated[0])} ± {number(each.simulated[1])}",
+            "distance": f"{each.distance:.2f}",
+            "outside_since": "" if each.since is None else f"{each.since:.1f} s",
+        }
+        for each in found
+    ]
+    lines = [f"{path} beside the simulation of {run.path}: mean ± standard deviation of each input of the policy", table(rows)]
+    lines.append("distance: Kolmogorov-Smirnov, from 0 for equal distributions to 1")
+    lines.append(f"different: {', '.join(each.name for each in different)}" if different else f"no distance reaches {DIFFERENT:g}")
+    advice = list(dict.fromkeys(each.advice for each in different if each.advice))
+    lines += ["", "so that the simulation draws it:", *(f"  {line}" for line in advice)] if advice else []
+    terminal.show([each._asdict() for each in found], *lines, as_json=as_json)
 
 
 def _other_engine(name: str) -> str:

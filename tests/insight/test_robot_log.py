@@ -1,0 +1,88 @@
+"""The log of a robot beside the simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.cli import main
+from deepbots_cli.errors import UsageError
+from deepbots_cli.insight.robot_log import compare_log, distance
+from deepbots_cli.learning import policy, train
+from deepbots_cli.learning.run import Run
+
+pytest.importorskip("onnxruntime")
+BRIEF = "train={algorithm: PPO, total_timesteps: 128, environments: 2, n_steps: 64, batch_size: 64, network: {hidden: [16]}}"
+PERIOD = 0.032
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("runs") / "cartpole"
+    train(api.compile("cartpole", overrides=[BRIEF, "evaluation.episodes=2"]), run=folder, seed=3)
+    return Run.open(folder)
+
+
+def logged(run: Run, path: Path, measured: Callable[[float, float], float], steps: int = 300) -> Path:
+    """A log of a robot that moves as the simulation does; `measured` turns time and angle of the pole into what its sensor gives."""
+    from deepbots_cli.insight.export.control import ControlStep
+    from deepbots_cli.insight.export.recording import recorded_steps
+    from deepbots_cli.rollout.policies import PolicyDriver
+    from deepbots_robot.log import LogWriter
+
+    learner = policy.loaded(run, "best")
+    control = ControlStep(run.program, learner)
+    writer = LogWriter(path, {})
+    simulation = recorded_steps(run.program, [*control.readings.values()], control.outputs, lambda world: PolicyDriver(learner, world))
+    for number, step in enumerate(islice(simulation, steps)):
+        time = number * PERIOD
+        angle = np.array([measured(time, float(step.inputs["cart.pole_angle"][0]))])
+        writer.step(100.0 + time, {**step.inputs, "cart.pole_angle": angle}, step.commands, 0.001, "policy")
+    writer.close()
+    return path
+
+
+def test_a_robot_that_moves_as_the_simulation_differs_in_nothing(run: Run, tmp_path: Path) -> None:
+    assert {each.distance for each in compare_log(run, logged(run, tmp_path / "log.mcap", lambda time, angle: angle))} == {0.0}
+
+
+def test_a_bias_is_named_first_with_its_time_and_a_line_for_the_scenario(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = logged(run, tmp_path / "log.mcap", lambda time, angle: angle + (0.5 if time > 3.2 else 0.0))
+    first = compare_log(run, log)[0]
+    assert first.name == "cart.pole_angle"
+    assert first.since == pytest.approx(3.2, abs=2 * PERIOD)
+    assert first.robot[0] - first.simulated[0] == pytest.approx(0.5 * 199 / 300, abs=0.01)
+    assert main(["transfer", str(run.path), "--log", str(log)]) == 0
+    assert "robots.cart.sensors.pole_angle: {bias: uniform(0 .. 0.33 rad)}" in capsys.readouterr().out
+
+
+def test_noise_is_measured(run: Run, tmp_path: Path) -> None:
+    generator = np.random.default_rng(0)
+    log = logged(run, tmp_path / "log.mcap", lambda time, angle: angle + generator.normal(0.0, 0.3))
+    (advice,) = {each.advice for each in compare_log(run, log) if each.advice}
+    noise = float(advice.partition("noise: ")[2].split()[0])
+    assert noise == pytest.approx(0.3, rel=0.15)
+
+
+def test_the_distance_is_that_of_the_distribution_functions() -> None:
+    assert distance(np.arange(10.0), np.arange(10.0)) == 0.0
+    assert distance(np.arange(10.0), np.arange(10.0) + 5.0) == pytest.approx(0.5)
+    assert distance(np.zeros(3), np.ones(7)) == 1.0
+
+
+def test_what_is_no_log_of_this_policy_is_refused(run: Run, tmp_path: Path) -> None:
+    other = tmp_path / "other.mcap"
+    other.write_bytes(b"no log")
+    with pytest.raises(UsageError, match="cannot be read as a log"):
+        compare_log(run, other)
+    with pytest.raises(UsageError, match="has 3 steps of a policy; a comparison needs at least 50"):
+        compare_log(run, logged(run, tmp_path / "short.mcap", lambda time, angle: angle, steps=3))
+    with pytest.raises(UsageError, match="cannot be read as a log"):
+        compare_log(run, tmp_path / "missing.mcap")
