@@ -353,7 +353,9 @@ def possible_returns(program: Program) -> tuple[float, float]:
 def unobserved_reads(program: Program, script: str) -> list[str]:
     """What a script reads and the policy does not observe, as the scenario writes it: for a signal, the parts that are not observed.
 
-    A value is observed if everything that it is computed from belongs to the observation or the goal. Noise and clipping are left out.
+    A value is observed if it is a number of the observation or of the goal, or if everything that it is computed from is known by them. A
+    number makes known what it is computed from, if all but one of these values are known: a distance `a - b`, beside `b`, makes `a` known,
+    but a speed along a heading makes no heading known. Noise and clipping are left out.
     """
     analysis, agent = Analysis(program).ideal, program.agent
 
@@ -362,14 +364,20 @@ def unobserved_reads(program: Program, script: str) -> list[str]:
         return {analysis.identity(node) for node in nodes if isinstance(node, (Name, EngineRead))}
 
     goal = () if agent.goal is None else (agent.goal.achieved, agent.goal.desired)
-    seen = sources(tree for value in (*(entry.value for entry in agent.observation), *goal) for tree in analysis.scalars(value))
+    numbers = [tree for value in (*(entry.value for entry in agent.observation), *goal) for tree in analysis.scalars(value)]
+    whole = {analysis.identity(tree) for tree in numbers}
+    seen, unsolved = set[int](), [sources([tree]) for tree in numbers]
+    while solved := [read for read in unsolved if len(read - seen) <= 1]:
+        seen.update(*solved)
+        unsolved = [read for read in unsolved if not read <= seen]
     signals = {signal.name: signal for signal in program.signals}
     found: dict[str, None] = {}
     waiting = [value for part in program.script(script).parts for value in part.values]
     for value in waiting:
         for node in _reads_in(value.typed):
             text = value.text[node.start : node.end]
-            if sources(analysis.lowered(node, value.owner)) <= seen:
+            trees = analysis.lowered(node, value.owner)
+            if sources(trees) <= seen or all(analysis.identity(tree) in whole for tree in trees):
                 continue
             signal = signals.pop(text.partition(".")[0], None) if not isinstance(node, Invocation) else None
             if signal is not None:

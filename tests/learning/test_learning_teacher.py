@@ -155,6 +155,15 @@ def test_of_a_signal_the_parts_are_named_that_are_not_observed() -> None:
     assert unobserved_reads(compiled.program, "turn") == ["yaw(roller)"]
 
 
+def test_a_speed_along_a_heading_shows_no_heading() -> None:
+    changes = [
+        "augment.along=velocity(epuck).x * cos(yaw(epuck)) + velocity(epuck).y * sin(yaw(epuck))",
+        "observation.along=-0.2 .. 0.2 m/s",
+        "scripts.turn={gas: 1 if along > 0 m/s else 0.5, wheel: yaw(epuck) / rad}",
+    ]
+    assert unobserved_reads(api.compile("find_ball", overrides=changes).program, "turn") == ["yaw(epuck)"]
+
+
 def test_a_teacher_that_never_succeeds_is_refused(tmp_path: Path) -> None:
     compiled = api.compile("pit_escape", overrides=["train.teacher=forward_only", "truncation.max_time=2s"])
     with pytest.raises(UsageError, match="the teacher `forward_only` succeeds in none of 20 episodes"):
