@@ -1,4 +1,4 @@
-"""The log of a robot beside the simulation: which values have another distribution, by how much, and since when.
+"""The log of a robot: its episodes and what happened in them, and which of its values are distributed otherwise than in the simulation.
 
 A robot does not start as a simulated episode does, so their values cannot be compared step by step. The policy plays episodes in the
 simulation, and the values of each field are compared as distributions.
@@ -7,6 +7,7 @@ simulation, and the values of each field are compared as distributions.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from itertools import islice
 from math import sqrt
 from pathlib import Path
@@ -29,6 +30,93 @@ _SHIFT = 0.5
 """A bias counts from this share of the standard deviation of the simulation on."""
 
 Array = NDArray[np.float64]
+
+
+class LoggedEvent(NamedTuple):
+    """Something that happened `time` s after the beginning of its episode."""
+
+    time: float
+    kind: str
+    text: str
+
+
+@dataclass
+class LoggedEpisode:
+    """An episode of a log; `begun` is in s since the beginning of the log, `answers` are answer times in s."""
+
+    number: int
+    begun: float
+    seconds: float = 0.0
+    steps: int = 0
+    safe_steps: int = 0
+    answers: list[float] = field(default_factory=list)
+    events: list[LoggedEvent] = field(default_factory=list)
+
+    @property
+    def answer(self) -> float | None:
+        """The median answer time, in s."""
+        return float(np.median(self.answers)) if self.answers else None
+
+
+def is_robot_log(path: Path) -> bool:
+    """Whether a file is the log of `deepbots serve`, and no recording of a simulation."""
+    try:
+        from mcap import records
+        from mcap.stream_reader import StreamReader
+    except ModuleNotFoundError:
+        return False
+    try:
+        with path.open("rb") as file:
+            first = islice(StreamReader(file, record_size_limit=1 << 20).records, 8)
+            return any(isinstance(found, records.Metadata) and found.name == "deepbots_robot" for found in first)
+    except Exception:  # noqa: BLE001  whatever mcap raises for a file that is none
+        return False
+
+
+def logged_episodes(path: Path) -> list[LoggedEpisode]:
+    """The episodes of a log, in order; what comes before the first one belongs to an episode 0.
+
+    Raises:
+        UsageError: The file cannot be read as a log.
+    """
+    from deepbots_robot.log import read_log
+
+    found: list[LoggedEpisode] = []
+    origin = None
+    try:
+        for topic, stamp, content in read_log(path):
+            origin = stamp if origin is None else origin
+            kind, text = str(content.get("kind", "")), str(content.get("text", ""))
+            if topic == "/event" and kind == "episode" and text.isdecimal():
+                found.append(LoggedEpisode(int(text), stamp - origin))
+                continue
+            if not found:
+                found.append(LoggedEpisode(0, 0.0))
+            episode = found[-1]
+            time = stamp - origin - episode.begun
+            if topic == "/event":
+                episode.events.append(LoggedEvent(time, kind, text))
+                continue
+            episode.seconds = max(episode.seconds, time)
+            if content.get("posture") == "safe":
+                episode.safe_steps += 1
+            else:
+                episode.steps += 1
+                episode.answers.append(float(content.get("answer", 0.0)))
+    except (OSError, ValueError, TypeError) as error:
+        raise UsageError(f"{path} cannot be read as a log of `deepbots serve --log`: {error}") from error
+    return found
+
+
+def explain_log(episode: LoggedEpisode) -> list[str]:
+    """What happened in an episode, one sentence each."""
+    answer = "" if episode.answer is None else f"; median answer {episode.answer * 1e3:.2f} ms, longest {max(episode.answers) * 1e3:.2f} ms"
+    lines = [f"episode {episode.number}: {episode.steps:,} steps of the policy in {episode.seconds:.1f} s{answer}"]
+    words = {"safe": "safe posture: ", "resumed": "the policy acts again: ", "refused": "a message was refused: "}
+    lines += [f"  {each.time:8.2f} s  {words.get(each.kind, '')}{each.text}" for each in episode.events]
+    if episode.safe_steps:
+        lines.append(f"  {episode.safe_steps:,} commands of the safe posture in all")
+    return lines
 
 
 class FieldComparison(NamedTuple):
@@ -64,7 +152,7 @@ class _Field(NamedTuple):
 
 
 def compare_log(run: Run, path: Path, *, model: ModelName = "best") -> list[FieldComparison]:
-    """Compare a log of `deepbots serve` with the simulation of a run, the most different field first.
+    """Compare a log of `deepbots serve` with the simulation of a run, the most different number first.
 
     Raises:
         MissingExtraError: What exports a policy, or reads a log, is not installed.
@@ -104,30 +192,30 @@ def compare_log(run: Run, path: Path, *, model: ModelName = "best") -> list[Fiel
     logged = [content.get("inputs") for _, content in steps]
     times = np.array([stamp for stamp, _ in steps]) - steps[0][0]
     found = []
-    for field in fields:
-        there = np.array([float(values[field.source].reshape(-1)[field.place]) for values in simulated])
-        here = np.array([*_logged(logged, field, path)])
-        found.append(_compared(field, here, there, times))
+    for number in fields:
+        there = np.array([float(values[number.source].reshape(-1)[number.place]) for values in simulated])
+        here = np.array([*_logged(logged, number, path)])
+        found.append(_compared(number, here, there, times))
     return sorted(found, key=lambda each: -each.distance)
 
 
-def _logged(rows: Sequence[object], field: _Field, path: Path) -> Iterator[float]:
+def _logged(rows: Sequence[object], number: _Field, path: Path) -> Iterator[float]:
     for row in rows:
-        values = row.get(field.source) if isinstance(row, dict) else None
-        if not isinstance(values, list) or len(values) <= field.place or not isinstance(values[field.place], int | float):
-            raise UsageError(f"{path} has no value of `{field.name}` in some step; compare it with the run whose bundle was served")
-        yield float(values[field.place])
+        values = row.get(number.source) if isinstance(row, dict) else None
+        if not isinstance(values, list) or len(values) <= number.place or not isinstance(values[number.place], int | float):
+            raise UsageError(f"{path} has no value of `{number.name}` in some step; compare it with the run whose bundle was served")
+        yield float(values[number.place])
 
 
-def _compared(field: _Field, here: Array, there: Array, times: Array) -> FieldComparison:
+def _compared(number: _Field, here: Array, there: Array, times: Array) -> FieldComparison:
     low, high = np.quantile(there, (0.01, 0.99))
     inside = np.flatnonzero((here >= low) & (here <= high))
     last = int(inside[-1]) if len(inside) else -1
     apart = distance(here, there)
     since = float(times[last + 1]) if apart >= DIFFERENT and last + 1 < len(times) - MIN_STEPS // 2 else None
-    advice = _advice(field, here, there) if field.sensor else ""
+    advice = _advice(number, here, there) if number.sensor else ""
     moments = ((float(values.mean()), float(values.std())) for values in (here, there))
-    return FieldComparison(field.name, field.unit, next(moments), next(moments), apart, since, advice)
+    return FieldComparison(number.name, number.unit, next(moments), next(moments), apart, since, advice)
 
 
 def distance(one: Array, other: Array) -> float:
@@ -137,20 +225,20 @@ def distance(one: Array, other: Array) -> float:
     return float(np.max(np.abs(next(shares) - next(shares))))
 
 
-def _advice(field: _Field, here: Array, there: Array) -> str:
+def _advice(number: _Field, here: Array, there: Array) -> str:
     """Noise or bias of the sensor that the simulation lacks."""
     spread = float(there.std())
     jitter = [_variance_of_noise(values) for values in (here, there)]
     noise = sqrt(max(0.0, jitter[0] - jitter[1]))
     shift = float(here.mean() - there.mean())
-    unit = f" {field.unit}" if field.unit else ""
+    unit = f" {number.unit}" if number.unit else ""
     parts = []
     if noise > _NOISE * spread:
         parts.append(f"noise: {noise:.2g}{unit}")
     if abs(shift) > _SHIFT * spread:
         ends = sorted((0.0, shift))
         parts.append(f"bias: uniform({ends[0]:.2g} .. {ends[1]:.2g}{unit})")
-    robot, _, sensor = field.sensor.partition(".")
+    robot, _, sensor = number.sensor.partition(".")
     return f"robots.{robot}.sensors.{sensor}: {{{', '.join(parts)}}}" if parts else ""
 
 

@@ -69,7 +69,9 @@ class Recording:
             raise RecordingError(f"{path} is not a recording: it is not an MCAP file")
         metadata, files, steps = _content(path, data)
         if metadata is None:
-            raise RecordingError(f"{path} is an MCAP file that deepbots did not record; open it in Foxglove")
+            raise RecordingError(
+                f"{path} is an MCAP file, but no recording of a simulation; use Foxglove, or for the log of a robot `deepbots replay`"
+            )
         if metadata.get("format") != str(FORMAT):
             raise RecordingError(
                 f"{path} is a recording of format {metadata.get('format', '?')[:20]}, but this version of deepbots reads {FORMAT}; "

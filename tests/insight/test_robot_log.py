@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
@@ -86,3 +87,28 @@ def test_what_is_no_log_of_this_policy_is_refused(run: Run, tmp_path: Path) -> N
         compare_log(run, logged(run, tmp_path / "short.mcap", lambda time, angle: angle, steps=3))
     with pytest.raises(UsageError, match="cannot be read as a log"):
         compare_log(run, tmp_path / "missing.mcap")
+
+
+def test_the_episodes_of_a_log_are_listed_and_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from deepbots_robot.log import LogWriter
+
+    path = tmp_path / "log.mcap"
+    writer = LogWriter(path, {}, clock=lambda: 0.0)
+    values, commands = {"cart.pole_angle": np.zeros(1)}, {"cart.wheels": np.zeros(4)}
+    for number, begun in enumerate((10.0, 20.0)):
+        writer.event(begun, "episode", str(number))
+        writer.step(begun + 0.5, values, commands, 0.002, "policy")
+    writer.event(20.6, "safe", "no new value of cart.pole_angle")
+    writer.step(20.6, {}, commands, 0.0, "safe")
+    writer.close()
+    assert main(["replay", str(path), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["episodes"]
+    assert [(each["number"], each["begun"], each["steps"], each["safe_steps"]) for each in found] == [(0, 0.0, 1, 0), (1, 10.0, 1, 1)]
+    assert main(["diagnose", str(path), "--episode", "1"]) == 0
+    shown = capsys.readouterr().out
+    assert "episode 1: 1 steps of the policy in 0.6 s; median answer 2.00 ms" in shown
+    assert "0.60 s  safe posture: no new value of cart.pole_angle" in shown
+    assert main(["diagnose", str(path), "--episode", "7"]) == 2
+    assert "has no episode 7; list them with: deepbots replay" in capsys.readouterr().err
+    assert main(["view", str(path)]) == 2
+    assert "no recording of a simulation" in capsys.readouterr().err

@@ -78,9 +78,13 @@ def command(
       deepbots diagnose find_ball-0-0.mcap --json
       deepbots diagnose runs/mine-0-1/failures/0001.json
 
+    Of the log of a robot, which `deepbots serve --log` writes, the command prints when and why the robot went into the safe posture.
+
     Next: `deepbots render RUN -o video.mp4 --episode K` shows an episode. docs/diagnose.md describes every cause.
     """
     permissions = Permissions(code=allow_code)
+    if source.endswith(RECORDING_SUFFIX) and _explain_log(Path(source), episode, as_json=as_json):
+        return
     if episode is not None or source.endswith((".json", RECORDING_SUFFIX)):
         if only_logs:
             raise UsageError("--only-logs is for a training; leave it out, or leave out --episode")
@@ -89,6 +93,20 @@ def command(
     if seed is not None or last:
         raise UsageError("--seed and --last choose an episode; add --episode K")
     _diagnose(Path(source), only_logs=only_logs, as_json=as_json, permissions=permissions)
+
+
+def _explain_log(path: Path, number: int | str | None, *, as_json: bool) -> bool:
+    """Print what happened in the log of a robot, in one episode or in all; False for a recording of a simulation."""
+    from deepbots_cli.insight.robot_log import explain_log, is_robot_log, logged_episodes
+
+    if not is_robot_log(path):
+        return False
+    found = [each for each in logged_episodes(path) if number is None or str(each.number) == str(number)]
+    if not found:
+        raise UsageError(f"{path} has no episode {number}; list them with: deepbots replay {quote(str(path))}")
+    data = [{**vars(each), "events": [event._asdict() for event in each.events]} for each in found]
+    terminal.show(data, *(line for each in found for line in explain_log(each)), as_json=as_json)
+    return True
 
 
 def _explain_episode(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import closing
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -13,6 +14,7 @@ from deepbots_cli.cli.command import SCENARIO, Json, Overrides, option
 from deepbots_cli.cli.commands.diff import Change, Effect
 from deepbots_cli.cli.commands.diff import scenario_changes as changes_of_meaning
 from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.cli.tables import table
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import Permissions
 from deepbots_cli.document.parse import parse
@@ -61,8 +63,18 @@ def command(
       deepbots replay --verify find_ball-0-0.mcap --tolerance 1e-6
       deepbots replay --verify find_ball-0-0.mcap --scenario find_ball
 
+    Of the log of a robot, which `deepbots serve --log` writes, the command lists the episodes too.
+
     Next: `deepbots view RECORDING` plays it in the browser.
     """
+    from deepbots_cli.insight.robot_log import is_robot_log
+
+    log = Path(recording)
+    if is_robot_log(log):
+        if to_verify or tolerance or scenario or overrides:
+            raise UsageError("the log of a robot cannot run again; leave out all options, or compare it: deepbots transfer RUN --log FILE")
+        _list_log(log, as_json=as_json)
+        return
     from deepbots_cli.view.episodes import Player, Showing
     from deepbots_cli.view.replay import ReplayPlayer, verify, version_changes
 
@@ -104,6 +116,27 @@ def command(
     terminal.show(data, text, as_json=as_json)
     if difference is not None:
         raise typer.Exit(FAILED)
+
+
+def _list_log(path: Path, *, as_json: bool) -> None:
+    from deepbots_cli.insight.robot_log import logged_episodes
+
+    found = logged_episodes(path)
+    rows = [
+        {
+            "episode": each.number,
+            "begun_s": f"{each.begun:.1f}",
+            "seconds": f"{each.seconds:.1f}",
+            "steps": each.steps,
+            "safe_steps": each.safe_steps,
+            "answer_ms": None if each.answer is None else f"{each.answer * 1e3:.2f}",
+            "events": len(each.events),
+        }
+        for each in found
+    ]
+    data = {"log": path, "episodes": [{**vars(each), "events": [event._asdict() for event in each.events]} for each in found]}
+    after = [f"deepbots diagnose {path} --episode {found[0].number}", f"deepbots transfer RUN --log {path}"] if found else []
+    terminal.show(data, f"{path}: the log of a robot", table(rows), as_json=as_json, next_commands=after)
 
 
 def _elsewhere(opened: ShowingState, scenario: str, overrides: Sequence[str], permissions: Permissions) -> tuple[ShowingState, list[str]]:
