@@ -154,6 +154,9 @@ class ControlStep:
             return _item(self._once(f"signal {name}", self._observed, signal.scalars), signal.components, part)
         if name in self._fields:
             robot, entry = self._fields[name]
+            if not self.program.is_direct(robot, "from_robot") and not _sends_a_sensor(robot, entry.scalars):
+                late = f"messages from {robot.name} arrive late or not at all"
+                raise UsageError(f"{robot.name} computes '{name}' itself, and {late}; this cannot be exported")
             return _item(self._once(f"field {name}", self._on_board[robot.name], entry.scalars), entry.components, part)
         return _item(self._last_action(name), self._acted[name], part)
 
@@ -196,12 +199,9 @@ class ControlStep:
 
     def _channel_value(self, leaf: EngineRead) -> Item:
         """The age of what arrived from a robot, and whether something arrived in this timestep."""
-        robot = next(robot for robot in self.program.robots if robot.name == leaf.subjects[0].partition(".")[0])
-        field = dict(robot.ages).get(leaf.subjects[0].partition(".")[2]) if leaf.function == "age" else None
-        if field is not None:
-            of_message = self._observed.value(EngineRead("age", (robot.name,)))
-            return Item(self.math.binary("Add", of_message, self._observed.value(Name(f"{robot.name}.{field}"))))
-        if not self.program.is_direct(robot, "from_robot"):
+        name, _, sensor = leaf.subjects[0].partition(".")
+        robot = next(robot for robot in self.program.robots if robot.name == name)
+        if sensor in dict(robot.ages) or not self.program.is_direct(robot, "from_robot"):
             return self.of_world(leaf)
         return Item(self.math.constant([True if leaf.function == "message_received" else 0.0]))
 
@@ -468,6 +468,11 @@ class _Acting:
 
     def __call__(self, states: Sequence[State], printer: TreePrinter) -> Value:
         return self._step.states_of_acting(states, printer, self._at_reset, self._begun)
+
+
+def _sends_a_sensor(robot: Robot, trees: Sequence[Scalar]) -> bool:
+    """Whether a value that a robot sends is a sensor as it is."""
+    return any(trees == tuple(Name(sensor.name, part) for part in sensor.components or (None,)) for sensor in robot.sensors)
 
 
 def _item(whole: Value, components: Sequence[str], part: str | None) -> Item:
