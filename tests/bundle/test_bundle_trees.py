@@ -124,7 +124,7 @@ def test_a_memory_in_a_graph_is_that_of_a_simulation(name: str, count: int) -> N
     if name == "accumulate":
         args = [args[0], arithmetic.constant([-0.5]), arithmetic.constant([0.7]), arithmetic.constant([0.1])]
     made = MemoryFormulas(arithmetic, STEP)
-    first, then = made.begin(name, args), made.advance(name, kept, args)
+    first, then = made.begin(name, args), made.proceed(name, kept, args)
     for place, output in enumerate(("next", "value")):
         chosen = arithmetic.where(started, then[place], first[place])
         graph.output(output, chosen.name, chosen.dtype, 1)

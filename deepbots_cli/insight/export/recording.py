@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli import api
 from deepbots_cli.expressions.types import Constant, Type
+from deepbots_cli.insight.export.control import ControlStep
 from deepbots_cli.insight.export.readings import Reading
 from deepbots_cli.program import Program
 from deepbots_cli.program.values import Expression
@@ -28,7 +29,7 @@ Array = NDArray[Any]
 
 
 class RecordedStep(NamedTuple):
-    """One step: the value of each input before it, the commands during it, and the action; `first` begins an episode."""
+    """One call of a policy: the value of each input before it, the commands during it, and the action; `first` begins an episode."""
 
     first: bool
     inputs: Mapping[str, Array]
@@ -37,30 +38,29 @@ class RecordedStep(NamedTuple):
 
 
 def recorded_steps(
-    program: Program,
-    readings: Sequence[Reading],
-    outputs: Sequence[Output],
-    make_driver: Callable[[Supervisor], Driver],
-    *,
-    engine: str | None = None,
+    step: ControlStep, make_driver: Callable[[Supervisor], Driver], *, engine: str | None = None
 ) -> Generator[RecordedStep, None, None]:
     """Episodes without end, one after the other. Of copies of a robot, the steps of the first one.
 
     Args:
         make_driver: Returns who acts, for the environment.
     """
-    with closing(api.build(_with_probes(program, readings), engine=engine)) as world:
+    readings = [*step.readings.values()]
+    with closing(api.build(_with_probes(step.program, readings), engine=engine)) as world:
         agent = next(iter(world.agents.values()))
-        watch = _Watch(agent, readings, outputs)
+        watch = _Watch(agent, readings, step.outputs)
         driver = make_driver(world)
         number = 0
         while True:
             inputs: Mapping[str, Array] = {}
-            for step in steps(world, driver, Start(_SEED + number)):
-                if step.number:
-                    action = step.action if agent is world else step.action[0]
-                    yield RecordedStep(step.number == 1, inputs, watch.commands(), action)
-                inputs = watch.inputs()
+            for made in steps(world, driver, Start(_SEED + number)):
+                observed = watch.observed()
+                if made.number:
+                    action = made.action if agent is world else made.action[0]
+                    between = observed[:-1] if step.repeat > 1 else []
+                    for place, each in enumerate([inputs, *between]):
+                        yield RecordedStep(made.number == 1 and place == 0, each, watch.commands(), action)
+                inputs = observed[-1]
             number += 1
 
 
@@ -100,6 +100,14 @@ class _Watch:
         self._readers = {reading.info.name: self._reader(agent, number, reading) for number, reading in enumerate(readings)}
         self._infos = {reading.info.name: reading.info for reading in readings}
         self._commands: dict[str, Array] = {}
+        self._observed: list[dict[str, Array]] = []
+        observe = agent._observe  # type: ignore[attr-defined]
+
+        def observing(*action: Any) -> None:
+            observe(*action)
+            self._observed.append(self._inputs())
+
+        agent._observe = observing  # type: ignore[attr-defined]
         for output in outputs:
             controller, attribute = agent.controllers[output.robot], f"drive_{output.actuator}"
             setattr(controller, attribute, _Drive(getattr(controller, attribute), partial(self._note, output.name)))
@@ -136,7 +144,12 @@ class _Watch:
         device = agent.controllers[robot].device(sensor)
         return lambda: device.reading
 
-    def inputs(self) -> dict[str, Array]:
+    def observed(self) -> list[dict[str, Array]]:
+        """The value of each input in each timestep since the last call."""
+        found, self._observed = self._observed, []
+        return found
+
+    def _inputs(self) -> dict[str, Array]:
         """The value of each input now."""
         found: dict[str, Array] = {}
         for name, read in self._readers.items():

@@ -413,7 +413,7 @@ class MemoryFormulas:
                 return first, first
         raise UsageError(f"the function '{function}' cannot be exported")
 
-    def advance(self, function: str, kept: Value, args: Sequence[Value]) -> tuple[Value, Value]:
+    def proceed(self, function: str, kept: Value, args: Sequence[Value]) -> tuple[Value, Value]:
         """Every further step."""
         arithmetic, first = self._math, args[0]
         binary = arithmetic.binary
