@@ -39,10 +39,10 @@ class Reading:
 class Readings:
     """Describes the inputs of a program."""
 
-    def __init__(self, program: Program, timestep: float) -> None:
-        """`timestep` is the time between two steps of the policy, in s."""
+    def __init__(self, program: Program, timestep: float | None = None) -> None:
+        """`timestep` is the time between two calls of the policy in s, by default that between two actions."""
         self._program = program
-        self._timestep = timestep
+        self._timestep = timestep or program.period
         self._deployment = Deployment(program)
         self._supplied_by = {reading_key(key): text for key, text in program.supplied_by}
         self.direct = self._deployment.sensed

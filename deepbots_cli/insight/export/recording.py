@@ -46,15 +46,17 @@ def recorded_steps(
         make_driver: Returns who acts, for the environment.
     """
     readings = [*step.readings.values()]
-    with closing(api.build(_with_probes(step.program, readings), engine=engine)) as world:
+    with closing(api.build(with_probes(_as_exported(step.program), readings), engine=engine)) as world:
         agent = next(iter(world.agents.values()))
-        watch = _Watch(agent, readings, step.outputs)
+        watch = Watch(agent, readings, step.outputs)
+        noted = _noted_observations(agent, watch)
         driver = make_driver(world)
         number = 0
         while True:
             inputs: Mapping[str, Array] = {}
             for made in steps(world, driver, Start(_SEED + number)):
-                observed = watch.observed()
+                observed = [*noted]
+                noted.clear()
                 if made.number:
                     action = made.action if agent is world else made.action[0]
                     between = observed[:-1] if step.repeat > 1 else []
@@ -64,11 +66,8 @@ def recorded_steps(
             number += 1
 
 
-def _with_probes(program: Program, readings: Sequence[Reading]) -> Program:
-    """The program whose supervisor stores the readings of the world. What a bundle leaves out is left out: noise that the supervisor adds.
-
-    Rewards and endings that Python computes are not needed.
-    """
+def with_probes(program: Program, readings: Sequence[Reading]) -> Program:
+    """The program whose supervisor stores the readings of the world."""
     probes = []
     for number, reading in enumerate(readings):
         if reading.device is None:
@@ -79,35 +78,42 @@ def _with_probes(program: Program, readings: Sequence[Reading]) -> Program:
             probe = Expression(f"{_PREFIX}{number}", place.span, reading.info.name, typed, f"signals.{_PREFIX}{number}")
             vars(probe)["scalars"] = reading.trees  # what a lowered expression keeps there
             probes.append(probe)
-    agent, signals = program.agent, [replace(signal, noise=None) for signal in program.signals]
+    stored = program.stored_signals | {probe.name for probe in probes}
+    return replace(program, signals=(*program.signals, *probes), stored_signals=stored)
+
+
+def _as_exported(program: Program) -> Program:
+    """The program without what a bundle leaves out: noise that the supervisor adds. Rewards and endings of Python are not needed."""
+    agent = program.agent
     program = program.with_agents(
         observation=tuple(replace(entry, noise=None) for entry in agent.observation),
         goal=agent.goal and replace(agent.goal, achieved=replace(agent.goal.achieved, noise=None)),
         reward=tuple(term for term in agent.reward if term.foreign is None),
     )
-    return replace(
-        program,
-        endings=tuple(ending for ending in program.endings if ending.foreign is None),
-        signals=(*signals, *probes),
-        stored_signals=program.stored_signals | {probe.name for probe in probes},
-    )
+    signals = tuple(replace(signal, noise=None) for signal in program.signals)
+    return replace(program, endings=tuple(ending for ending in program.endings if ending.foreign is None), signals=signals)
 
 
-class _Watch:
+def _noted_observations(agent: Supervisor, watch: Watch) -> list[dict[str, Array]]:
+    """A list that gets the inputs of each further timestep, after which the supervisor observes."""
+    noted: list[dict[str, Array]] = []
+    observe = agent._observe  # type: ignore[attr-defined]
+
+    def observing(*action: Any) -> None:
+        observe(*action)
+        noted.append(watch.inputs())
+
+    agent._observe = observing  # type: ignore[attr-defined]
+    return noted
+
+
+class Watch:
     """Reads inputs from a supervisor, and notes what its robots apply."""
 
     def __init__(self, agent: Supervisor, readings: Sequence[Reading], outputs: Sequence[Output]) -> None:
         self._readers = {reading.info.name: self._reader(agent, number, reading) for number, reading in enumerate(readings)}
         self._infos = {reading.info.name: reading.info for reading in readings}
         self._commands: dict[str, Array] = {}
-        self._observed: list[dict[str, Array]] = []
-        observe = agent._observe  # type: ignore[attr-defined]
-
-        def observing(*action: Any) -> None:
-            observe(*action)
-            self._observed.append(self._inputs())
-
-        agent._observe = observing  # type: ignore[attr-defined]
         for output in outputs:
             controller, attribute = agent.controllers[output.robot], f"drive_{output.actuator}"
             setattr(controller, attribute, _Drive(getattr(controller, attribute), partial(self._note, output.name)))
@@ -144,12 +150,7 @@ class _Watch:
         device = agent.controllers[robot].device(sensor)
         return lambda: device.reading
 
-    def observed(self) -> list[dict[str, Array]]:
-        """The value of each input in each timestep since the last call."""
-        found, self._observed = self._observed, []
-        return found
-
-    def _inputs(self) -> dict[str, Array]:
+    def inputs(self) -> dict[str, Array]:
         """The value of each input now."""
         found: dict[str, Array] = {}
         for name, read in self._readers.items():
