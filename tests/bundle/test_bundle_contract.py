@@ -22,6 +22,7 @@ FURTHER: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("rail", ("messages.timing=delayed",)),
     ("drawn", ()),
     ("pair", ()),
+    ("pair", ("agent={action_repeat: 3}",)),
     ("../../world/hills", ()),
     ("drone", ()),
     ("sensed", ()),
@@ -57,6 +58,25 @@ def test_over_a_thousand_steps_too(scenario):
     assert found.worst <= 1e-5
 
 
+@pytest.mark.parametrize(
+    ("scenario", "overrides"),
+    [
+        ("find_and_avoid", ["agent={action_repeat: 3, frame_stack: 2}"]),
+        (
+            "line_follower",
+            ["agent={action_repeat: 4}", "observation.time=0 .. 60 s", "observation.step=0 .. 100", "train.algorithm=RecurrentPPO"],
+        ),
+    ],
+)
+def test_what_advances_between_two_actions_does_so_in_a_bundle(scenario, overrides):
+    """The bundle is called in every timestep, and commands in between what it commanded last."""
+    step, _, known = made(scenario, *overrides)
+    assert known.info.timestep_s == step.program.world.timestep
+    found = compared(scenario, *overrides, steps=100)
+    assert found.steps == 100
+    assert found.worst <= 1e-5
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "overrides"), FURTHER)
 def test_scenarios_of_other_tests_too(name, overrides):
@@ -67,7 +87,6 @@ def test_scenarios_of_other_tests_too(name, overrides):
     ("overrides", "named"),
     [
         (["messages.timing=delayed"], "`apply` of rover reads sensors or keeps values, and messages to it arrive late"),
-        (["agent={action_repeat: 3}"], "'running_min' in augment.detour advances in every timestep, but the policy acts in every 3th"),
         (["observation={previous_reward: -1 .. 1}"], "the policy sees 'previous_reward', and the reward is known in a training alone"),
     ],
 )

@@ -14,7 +14,7 @@ import torch
 
 import deepbots_robot
 from deepbots_cli import api
-from deepbots_cli.insight.export.control import ControlStep
+from deepbots_cli.insight.export.control import ControlStep, control_step
 from deepbots_cli.insight.export.parity import Comparison, recorded_parity
 from deepbots_cli.insight.export.recording import recorded_steps
 from deepbots_cli.learning import learner as learners
@@ -44,7 +44,7 @@ def made(source: str, *overrides: str) -> tuple[ControlStep, Any, deepbots_robot
     """The graph of a scenario, its policy, and the bundle in memory."""
     program = api.with_learner(api.compile(source, overrides=overrides)).program
     learner = learner_of(program)
-    step = ControlStep(program, learner)
+    step = control_step(program, learner)
     info = info_of(step)
     return step, learner, bundle.Bundle(info, step.model({bundle.METADATA_KEY: bundle.description_digest(info)}))
 
@@ -58,8 +58,8 @@ def info_of(step: ControlStep) -> model.BundleInfo:
         deepbots="0",
         scenario=model.Scenario(name=program.name, summary="", digest=DIGEST, task_digest=DIGEST, robots={}, interface={}, licenses={}),
         training=model.Training(algorithm="", model="best", seed=0, steps=0, engine="", versions={}),
-        rate_hz=1.0 / program.period,
-        timestep_s=program.period,
+        rate_hz=1.0 / step.timestep,
+        timestep_s=step.timestep,
         inputs=tuple(reading.info for reading in step.readings.values()),
         memory=tuple(step.memories),
         outputs=tuple(step.outputs),
@@ -73,9 +73,7 @@ def compared(source: str, *overrides: str, steps: int, engine: str | None = None
     """A bundle beside the simulation of its scenario, in which its policy acts."""
     step, learner, known = made(source, *overrides)
     comparison = Comparison(known)
-    recorded = recorded_steps(
-        step.program, [*step.readings.values()], step.outputs, lambda world: PolicyDriver(learner, world), engine=engine
-    )
+    recorded = recorded_steps(step, lambda world: PolicyDriver(learner, world), engine=engine)
     for each in islice(recorded, steps):
         comparison.add(each)
     recorded.close()

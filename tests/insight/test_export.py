@@ -120,12 +120,14 @@ def test_the_bundle_tells_what_goes_in_and_out_and_how_good_it_is(bundle):
     assert f"mean return {known['evaluation']['mean_return']:.4g} in every episode (95 % interval, from" in text
 
 
-def test_the_program_of_the_readme_runs(bundle, monkeypatch):
-    monkeypatch.chdir(bundle)
-    (code,) = re.findall(r"```python[^\n]*\n(.*?)```", (bundle / "README.md").read_text(), re.DOTALL)
-    names: dict[str, object] = {}
-    exec(code, names)
-    assert np.shape(names["commands"]["cart.wheels"]) == (4,)
+def test_the_programs_of_the_readme_and_of_the_docs_run(bundle, monkeypatch):
+    page = Path(__file__).parents[2] / "docs" / "robot.md"
+    for place, text in ((bundle, bundle / "README.md"), (bundle.parent, page)):
+        monkeypatch.chdir(place)
+        for code in re.findall(r"```python[^\n]*\n(.*?)```", text.read_text(encoding="utf-8"), re.DOTALL):
+            names: dict[str, object] = {}
+            exec(code, names)
+            assert np.shape(names["commands"]["cart.wheels"]) == (4,)
 
 
 def test_the_bundle_drives_the_environment_as_the_policy_does(bundle, run):

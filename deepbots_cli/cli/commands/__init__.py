@@ -39,7 +39,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "Share": {
         "render": ("render.command", "Make a picture, a video or GIF, an offline page or a recording."),
         "report": ("report.command", "Write a report about a run: one HTML file to send."),
-        "export": ("export.command", "Export the policy of a run as ONNX."),
+        "export": ("export.command", "Export the policy of a run for a robot."),
         "serve": ("serve.command", "Act for a robot by an exported policy, or simulate the robot."),
     },
     "Develop": {

@@ -46,7 +46,7 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
     try:
         import msgspec
 
-        from deepbots_cli.insight.export.control import ControlStep
+        from deepbots_cli.insight.export.control import control_step
         from deepbots_cli.insight.export.network import policy_graph
         from deepbots_cli.insight.export.parity import recorded_parity
         from deepbots_cli.learning import policy
@@ -56,7 +56,7 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         raise MissingExtraError("export", "exporting a policy") from error
     learner = policy.loaded(run, name)
     policy_graph(learner, run.program)  # compares the networks with those of the learner on random observations
-    step = ControlStep(run.program, learner)
+    step = control_step(run.program, learner)
     info = _info(run, name, step)
     graph = step.model({bundle.METADATA_KEY: bundle.description_digest(info)})
     with torch_settings():
@@ -107,8 +107,8 @@ def _info(run: Run, name: ModelName, step: ControlStep) -> BundleInfo:
             engine=record.engine,
             versions=dict(record.versions),
         ),
-        rate_hz=round(1.0 / program.period, 9),
-        timestep_s=program.period,
+        rate_hz=round(1.0 / step.timestep, 9),
+        timestep_s=step.timestep,
         inputs=tuple(reading.info for reading in step.readings.values()),
         memory=tuple(step.memories),
         outputs=tuple(step.outputs),

@@ -5,6 +5,9 @@
 The parts are those of the generated code, in its order: what `_observe` computes for the policy, then `_advance` up to the actuators. Noise
 is left out, since a robot has its own. A memory is a tensor in and one out; `memory.started` is false in the first step of an episode,
 in which each memory begins as after a reset.
+
+With `action_repeat`, a function with a memory advances between two actions too. The graph is then called in every timestep: it observes in
+all of them, and acts in every n-th; in the others it returns the commands of the last action.
 """
 
 from __future__ import annotations
@@ -36,27 +39,45 @@ _LATER = {
 """Names that mean something only in a training."""
 
 
-class ControlStep:
-    """The graph of a control step.
+class _AdvancesBetweenActionsError(Exception):
+    """A memory of the observation, in a scenario with several timesteps per action."""
 
-    Attributes:
-        readings: The inputs, in order of first use.
-        memories: What the graph passes to itself.
-        outputs: The commands.
+
+def control_step(program: Program, learner: Learner) -> ControlStep:
+    """The graph of a control step.
 
     Raises:
         UsageError: The scenario or the policy holds something that cannot be exported; names it.
     """
+    try:
+        return ControlStep(program, learner)
+    except _AdvancesBetweenActionsError:
+        return ControlStep(program, learner, in_timesteps=True)
 
-    def __init__(self, program: Program, learner: Learner) -> None:
+
+class ControlStep:
+    """The graph of a control step; see `control_step`.
+
+    Attributes:
+        timestep: The time between two calls, in s.
+        readings: The inputs, in order of first use.
+        memories: What the graph passes to itself.
+        outputs: The commands.
+        repeat: In how many calls it acts once.
+    """
+
+    def __init__(self, program: Program, learner: Learner, *, in_timesteps: bool = False) -> None:
+        """`in_timesteps` makes a graph that is called in every timestep, also between two actions."""
         self.program, self.agent = program, program.agent
+        self.repeat = program.action_repeat if in_timesteps else 1
+        self.timestep = program.world.timestep if in_timesteps else program.period
         self.graph = Graph()
         self.math = Arithmetic(self.graph)
         self.readings: dict[str, Reading] = {}
         self.memories: list[Memory] = []
         self._kept: dict[str, str] = {}
         self.outputs: list[Output] = []
-        self._describe = Readings(program)
+        self._describe = Readings(program, self.timestep)
         self._formulas = MemoryFormulas(self.math, program.world.timestep)
         self._whole: dict[str, Value] = {}
         self._signals = {signal.name: signal for signal in program.signals}
@@ -68,7 +89,7 @@ class ControlStep:
         action = self._decide(learner)
         self._command(action)
         for name in [name for name in action if name in self._whole]:
-            self.keep(name, action[name])
+            self.keep(name, self._if_acting(action[name], self._whole[name]))
         self._finish()
 
     def model(self, metadata: dict[str, str]) -> bytes:
@@ -82,6 +103,26 @@ class ControlStep:
         found = self.memory("started", 1, truth=True)
         self.keep("started", self.math.constant([True]))
         return found
+
+    @cached_property
+    def _acts(self) -> Value:
+        """Whether the policy acts in this call."""
+        calls = self._calls
+        return self.math.binary("Equal", self.math.remainder(calls, self.math.constant([float(self.repeat)])), self.math.constant([0.0]))
+
+    @cached_property
+    def _calls(self) -> Value:
+        """How many calls there were before in this episode."""
+        calls = self.memory("calls", 1)
+        self.keep("calls", self.math.binary("Add", calls, self.math.constant([1.0])))
+        return calls
+
+    def _if_acting(self, value: Value, otherwise: Value) -> Value:
+        """The value, in a call in which the policy does not act the other one."""
+        return value if self.repeat == 1 else self.math.where(self._acts, value, otherwise)
+
+    def _tensor_if_acting(self, tensor: str, otherwise: str) -> str:
+        return tensor if self.repeat == 1 else str(self.graph.add("Where", self._acts.name, tensor, otherwise))
 
     def input(self, reading: Reading) -> Value:
         """The tensor of an input, which is made when it is first read."""
@@ -116,9 +157,9 @@ class ControlStep:
             self.graph.output(f"{memory.name}_next", self._kept[memory.name], memory.dtype, *memory.shape)
         shape = [len(self.agent.choices)] if len(self.agent.choices) > 1 else []
         if self._decision.scores is None:
-            self.graph.output("action", self.graph.reshape(self._decision.action, -1), np.float32, len(self.agent.range_names))
+            self.graph.output("action", self._action, np.float32, len(self.agent.range_names))
             return
-        self.graph.output("action", self.graph.reshape(self._decision.action, *shape), np.int64, *shape)
+        self.graph.output("action", self.graph.reshape(self._action, *shape), np.int64, *shape)
         size = sum(len(part.options) for part in self.agent.choices)
         self.graph.output("scores", self.graph.reshape(self._decision.scores, -1), np.float32, size)
 
@@ -154,6 +195,9 @@ class ControlStep:
             return _item(self._once(f"signal {name}", self._observed, signal.scalars), signal.components, part)
         if name in self._fields:
             robot, entry = self._fields[name]
+            if not self.program.is_direct(robot, "from_robot") and not _sends_a_sensor(robot, entry.scalars):
+                late = f"messages from {robot.name} arrive late or not at all"
+                raise UsageError(f"{robot.name} computes '{name}' itself, and {late}; this cannot be exported")
             return _item(self._once(f"field {name}", self._on_board[robot.name], entry.scalars), entry.components, part)
         return _item(self._last_action(name), self._acted[name], part)
 
@@ -182,26 +226,19 @@ class ControlStep:
         """The number of the step, or the time, `ahead` steps after the observation; None for other names."""
         if name not in ("time", "step"):
             return None
-        if "step" not in self._whole:
-            self._whole["step"] = self.memory("step", 1)
-            self.keep("step", self.math.binary("Add", self._whole["step"], self.math.constant([1.0])))
-        steps = self._whole["step"]
-        repeat = self.program.action_repeat
-        if ahead and (name == "step" or repeat == 1):
-            steps = self.math.binary("Add", steps, self.math.constant([1.0]))
-        if name == "step":
-            return steps
-        ticks = self.math.binary("Mul", steps, self.math.constant([float(repeat)]))
-        return self.math.binary("Mul", ticks, self.math.constant([self.program.world.timestep]))
+        calls, math, repeat = self._calls, self.math, self.program.action_repeat
+        if name == "step":  # one that has begun counts
+            begun = math.call("ceil", [math.binary("Div", calls, math.constant([float(self.repeat)]))])
+            return math.binary("Add", begun, math.constant([float(ahead)]))
+        ticks = math.binary("Mul", calls, math.constant([float(repeat // self.repeat)]))
+        ticks = math.binary("Add", ticks, math.constant([1.0])) if ahead and repeat == 1 else ticks
+        return math.binary("Mul", ticks, math.constant([self.program.world.timestep]))
 
     def _channel_value(self, leaf: EngineRead) -> Item:
         """The age of what arrived from a robot, and whether something arrived in this timestep."""
-        robot = next(robot for robot in self.program.robots if robot.name == leaf.subjects[0].partition(".")[0])
-        field = dict(robot.ages).get(leaf.subjects[0].partition(".")[2]) if leaf.function == "age" else None
-        if field is not None:
-            of_message = self._observed.value(EngineRead("age", (robot.name,)))
-            return Item(self.math.binary("Add", of_message, self._observed.value(Name(f"{robot.name}.{field}"))))
-        if not self.program.is_direct(robot, "from_robot"):
+        name, _, sensor = leaf.subjects[0].partition(".")
+        robot = next(robot for robot in self.program.robots if robot.name == name)
+        if sensor in dict(robot.ages) or not self.program.is_direct(robot, "from_robot"):
             return self.of_world(leaf)
         return Item(self.math.constant([True if leaf.function == "message_received" else 0.0]))
 
@@ -210,13 +247,12 @@ class ControlStep:
     def _observed_states(self, states: Sequence[State], printer: TreePrinter) -> Value:
         """What advances once per timestep, from its value at the reset on."""
         function = states[0].function
-        if self.program.action_repeat > 1:
-            every = f"the policy acts in every {self.program.action_repeat}th"
-            raise UsageError(f"'{function}' in {states[0].call[0]} advances in every timestep, but {every}; this cannot be exported")
+        if self.program.action_repeat != self.repeat:
+            raise _AdvancesBetweenActionsError
         args = _columns(printer, states)
         begun, first = self._formulas.begin(function, args)
         name = self._slot(states[0])
-        kept, value = self._formulas.advance(function, self.memory(name, len(states), truth=begun.truth), args)
+        kept, value = self._formulas.proceed(function, self.memory(name, len(states), truth=begun.truth), args)
         self.keep(name, self.math.where(self.started, kept, begun))
         return self.math.where(self.started, value, first)
 
@@ -256,7 +292,13 @@ class ControlStep:
             states = [graph.add("Unsqueeze", tensor, graph.constant([1], np.int64)) for tensor in tensors]
         self._decision = network.decide(graph, policy, self.program, seen, states, self._mask(learner))
         for name, after in zip(network.LSTM_STATES, self._decision.after, strict=False):
-            self._kept[f"memory.{name}"] = graph.add("Squeeze", after, graph.constant([1], np.int64))
+            memory = f"memory.{name}"
+            self._kept[memory] = self._tensor_if_acting(graph.add("Squeeze", after, graph.constant([1], np.int64)), memory)
+        self._action = graph.reshape(self._decision.action, -1)
+        if self.repeat > 1:
+            dtype, size = (np.int64, len(agent.choices)) if agent.choices else (np.float32, len(agent.range_names))
+            self._action = self._tensor_if_acting(self._action, self._memory_tensor("action", dtype, size))
+            self._kept["memory.action"] = self._action
         return self._decoded()
 
     def _mask(self, learner: Learner) -> str | None:
@@ -307,7 +349,7 @@ class ControlStep:
         first = graph.add("Concat", *[row] * (depth - 1), axis=0)
         older = graph.add("Where", self.started.name, before, first)
         frames = graph.add("Concat", older, row, axis=0)
-        self._kept["memory.frames"] = self._without_oldest(frames, depth)
+        self._kept["memory.frames"] = self._tensor_if_acting(self._without_oldest(frames, depth), older)
         places = [(depth - 1 - ago) * width + index for index, ago in agent.seen]
         return str(graph.add("Gather", graph.reshape(frames, -1), graph.constant(places, np.int64), axis=0))
 
@@ -356,7 +398,7 @@ class ControlStep:
         before = self._memory_tensor(image.key, np.uint8, depth - 1, *image.shape)
         older = graph.add("Where", self.started.name, before, graph.add("Concat", *[newest] * (depth - 1), axis=0))
         frames = graph.add("Concat", older, newest, axis=0)
-        self._kept[f"memory.{image.key}"] = self._without_oldest(frames, depth)
+        self._kept[f"memory.{image.key}"] = self._tensor_if_acting(self._without_oldest(frames, depth), older)
         taken = graph.add("Gather", frames, graph.constant([depth - 1 - ago for ago in ages], np.int64), axis=0)
         return graph.reshape(graph.add("Transpose", taken, perm=[1, 2, 0, 3]), *self._shapes[image.key])
 
@@ -388,6 +430,9 @@ class ControlStep:
                 value = self.math.spread(self.math.number(applied.vector(command.scalars)), info.shape[0])
                 low, high = (self._bounds(ends, sign) for ends, sign in zip(info.range, (-1, 1), strict=True))
                 value = self.math.call("min", [self.math.call("max", [value, low]), high])
+                if self.repeat > 1:
+                    value = self._if_acting(value, self.memory(f"command.{info.name}", info.shape[0]))
+                    self.keep(f"command.{info.name}", value)
                 self.outputs.append(info)
                 self.graph.output(info.name, value.name, np.float64, *info.shape)
 
@@ -403,8 +448,8 @@ class ControlStep:
         start, _ = self._formulas.begin(function, args if states[0].call in begun else _columns(at_reset, states))
         name = self._slot(states[0])
         before = self.math.where(self.started, self.memory(name, len(states), truth=start.truth), start)
-        kept, value = self._formulas.advance(function, before, args)
-        self.keep(name, kept)
+        kept, value = self._formulas.proceed(function, before, args)
+        self.keep(name, self._if_acting(kept, before))
         return value
 
     def clock_when_acting(self, name: str, ahead: int) -> Value | None:
@@ -468,6 +513,11 @@ class _Acting:
 
     def __call__(self, states: Sequence[State], printer: TreePrinter) -> Value:
         return self._step.states_of_acting(states, printer, self._at_reset, self._begun)
+
+
+def _sends_a_sensor(robot: Robot, trees: Sequence[Scalar]) -> bool:
+    """Whether a value that a robot sends is a sensor as it is."""
+    return any(trees == tuple(Name(sensor.name, part) for part in sensor.components or (None,)) for sensor in robot.sensors)
 
 
 def _item(whole: Value, components: Sequence[str], part: str | None) -> Item:

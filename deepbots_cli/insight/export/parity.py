@@ -58,7 +58,7 @@ class Comparison:
         if step.first:
             self._policy.reset()
             self._parted = False
-        found = self._policy.step(step.inputs)
+        found = self._policy.step(values=step.inputs)
         choices = self._info.choices
         if choices and not np.array_equal(found["action"], step.action) and least_gap(choices, found) <= TOLERANCE:
             self._parted = True
@@ -96,9 +96,7 @@ def recorded_parity(bundle: Bundle, step: ControlStep, learner: Learner, *, engi
         UsageError: The bundle commands something else than the robots of the simulation applied.
     """
     rows, comparison = _Rows(bundle), Comparison(bundle)
-    recorded = recorded_steps(
-        step.program, [*step.readings.values()], step.outputs, lambda world: PolicyDriver(learner, world), engine=engine
-    )
+    recorded = recorded_steps(step, lambda world: PolicyDriver(learner, world), engine=engine)
     for number, each in enumerate(recorded):
         rows.add(each.first, each.inputs, comparison.add(each))
         if rows.count == RECORDED or number == _TRIES * RECORDED:
@@ -160,7 +158,7 @@ def _add_random_steps(bundle: Bundle, rows: _Rows) -> None:
         if first:
             policy.reset()
         inputs = {entry.name: _random_value(entry, known[entry.name], random) for entry in bundle.info.inputs}
-        rows.add(first, inputs, policy.step(inputs))
+        rows.add(first, inputs, policy.step(values=inputs))
         if rows.count == wanted:
             break
 

@@ -39,8 +39,10 @@ class Reading:
 class Readings:
     """Describes the inputs of a program."""
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: Program, timestep: float | None = None) -> None:
+        """`timestep` is the time between two calls of the policy in s, by default that between two actions."""
         self._program = program
+        self._timestep = timestep or program.period
         self._deployment = Deployment(program)
         self._supplied_by = {reading_key(key): text for key, text in program.supplied_by}
         self.direct = self._deployment.sensed
@@ -123,7 +125,7 @@ class Readings:
     def _input(
         self, name: str, *, period: float | None = None, latency: float = 0.0, components: Sequence[str] = (), **known: object
     ) -> Input:
-        step = self._program.period
+        step = self._timestep
         values: dict[str, object] = {
             "robot": None, "supplied_by": None, "sensor": None, "joints": (), "link": None, "mount": None, "frame": None,
             "rate_hz": round(1.0 / (period or step), 9), "latency_s": latency,

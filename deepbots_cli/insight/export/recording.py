@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli import api
 from deepbots_cli.expressions.types import Constant, Type
+from deepbots_cli.insight.export.control import ControlStep
 from deepbots_cli.insight.export.readings import Reading
 from deepbots_cli.program import Program
 from deepbots_cli.program.values import Expression
@@ -28,7 +29,7 @@ Array = NDArray[Any]
 
 
 class RecordedStep(NamedTuple):
-    """One step: the value of each input before it, the commands during it, and the action; `first` begins an episode."""
+    """One call of a policy: the value of each input before it, the commands during it, and the action; `first` begins an episode."""
 
     first: bool
     inputs: Mapping[str, Array]
@@ -37,30 +38,31 @@ class RecordedStep(NamedTuple):
 
 
 def recorded_steps(
-    program: Program,
-    readings: Sequence[Reading],
-    outputs: Sequence[Output],
-    make_driver: Callable[[Supervisor], Driver],
-    *,
-    engine: str | None = None,
+    step: ControlStep, make_driver: Callable[[Supervisor], Driver], *, engine: str | None = None
 ) -> Generator[RecordedStep, None, None]:
     """Episodes without end, one after the other. Of copies of a robot, the steps of the first one.
 
     Args:
         make_driver: Returns who acts, for the environment.
     """
-    with closing(api.build(with_probes(_as_exported(program), readings), engine=engine)) as world:
+    readings = [*step.readings.values()]
+    with closing(api.build(with_probes(_as_exported(step.program), readings), engine=engine)) as world:
         agent = next(iter(world.agents.values()))
-        watch = Watch(agent, readings, outputs)
+        watch = Watch(agent, readings, step.outputs)
+        noted = _noted_observations(agent, watch)
         driver = make_driver(world)
         number = 0
         while True:
             inputs: Mapping[str, Array] = {}
-            for step in steps(world, driver, Start(_SEED + number)):
-                if step.number:
-                    action = step.action if agent is world else step.action[0]
-                    yield RecordedStep(step.number == 1, inputs, watch.commands(), action)
-                inputs = watch.inputs()
+            for made in steps(world, driver, Start(_SEED + number)):
+                observed = [*noted]
+                noted.clear()
+                if made.number:
+                    action = made.action if agent is world else made.action[0]
+                    between = observed[:-1] if step.repeat > 1 else []
+                    for place, each in enumerate([inputs, *between]):
+                        yield RecordedStep(made.number == 1 and place == 0, each, watch.commands(), action)
+                inputs = observed[-1]
             number += 1
 
 
@@ -90,6 +92,19 @@ def _as_exported(program: Program) -> Program:
     )
     signals = tuple(replace(signal, noise=None) for signal in program.signals)
     return replace(program, endings=tuple(ending for ending in program.endings if ending.foreign is None), signals=signals)
+
+
+def _noted_observations(agent: Supervisor, watch: Watch) -> list[dict[str, Array]]:
+    """A list that gets the inputs of each further timestep, after which the supervisor observes."""
+    noted: list[dict[str, Array]] = []
+    observe = agent._observe  # type: ignore[attr-defined]
+
+    def observing(*action: Any) -> None:
+        observe(*action)
+        noted.append(watch.inputs())
+
+    agent._observe = observing  # type: ignore[attr-defined]
+    return noted
 
 
 class Watch:

@@ -179,8 +179,9 @@ class Arithmetic:
         return self._node("Sqrt", total)
 
     def cosine(self, a: Value) -> Value:
-        """As a sine: onnxruntime 1.20 has no cosine of float64."""
-        return self._node("Sin", self.binary("Add", a, self.constant([math.pi / 2])))
+        """From the sine of the half angle: older versions of onnxruntime have no cosine of float64."""
+        half = self._node("Sin", self.binary("Mul", a, self.constant([0.5])))
+        return self.binary("Sub", self.constant([1.0]), self.binary("Mul", self.constant([2.0]), self.square(half)))
 
     def tangent(self, a: Value) -> Value:
         return self._node("Div", self._node("Sin", a), self.cosine(a))
@@ -192,7 +193,7 @@ class Arithmetic:
         it exact: what remains is the third power of 1e-7.
         """
         zero, one, pi = self.constant([0.0]), self.constant([1.0]), self.constant([math.pi])
-        below = self.either(self._negative(y), self._negative(self._node("Div", one, self.where(self._unequal(y, zero), one, y))))
+        below = self._negative(self._node("Div", one, y))  # also for -0.0; onnxruntime's `Where` would lose its sign
         left = self._negative(x)
         at_origin = self.both(self.binary("Equal", y, zero), self.binary("Equal", x, zero))
         slope = self._node("Div", y, self.where(at_origin, one, x))
@@ -412,7 +413,7 @@ class MemoryFormulas:
                 return first, first
         raise UsageError(f"the function '{function}' cannot be exported")
 
-    def advance(self, function: str, kept: Value, args: Sequence[Value]) -> tuple[Value, Value]:
+    def proceed(self, function: str, kept: Value, args: Sequence[Value]) -> tuple[Value, Value]:
         """Every further step."""
         arithmetic, first = self._math, args[0]
         binary = arithmetic.binary
