@@ -25,7 +25,7 @@ _OF_ROBOTS = {
     "joint or link": ("joints", "links"),
     "sensor": ("sensors",),
     "actuator": ("actuators",),
-    "sensor or actuator": ("sensors", "actuators"),
+    "sensor, reading or actuator": ("sensors", "actuators"),
     "group": ("groups", "actuators"),
     "bodies or links": ("links",),
     "body or link": ("links",),

@@ -1,4 +1,4 @@
-"""The section `ros`: the topics of sensors and actuators, checked against the messages of ROS 2."""
+"""The section `ros`: the topics of sensors, readings of the world and actuators, checked against the messages of ROS 2."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ from dataclasses import replace
 
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.program import Program
-from deepbots_cli.program.topics import command_fields, mapping, sensor_fields
+from deepbots_cli.program.topics import command_fields, mapping, reading_fields, sensor_fields
 from deepbots_robot.topics import Field, Topic, conflicts, part_of
 
 
 def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
-    """The topics that the scenario gives, by sensor and actuator; findings for those that do not fit."""
+    """The topics that the scenario gives, by sensor, reading and actuator; findings for those that do not fit."""
     values, spec = namespace.values, namespace.scenario
     if not spec.ros:
         return {}
-    sensors = {field.name: field for field in sensor_fields(program)}
+    sensors = {field.name: field for field in (*reading_fields(program), *sensor_fields(program))}
     fields = {**{field.name: field for field in command_fields(program)}, **sensors}
     found: dict[str, tuple[Field, Topic]] = {}
     for name, given in spec.ros.items():
         field = fields.get(name)
         if field is None:
-            values.report_unknown(values.key_span(("ros", name)), "sensor or actuator", name, list(fields))
+            values.report_unknown(values.key_span(("ros", name)), "sensor, reading or actuator", name, list(fields))
             continue
         topic = Topic(given.topic, given.type, given.part)
         try:

@@ -22,7 +22,7 @@ from deepbots_cli import api
 from deepbots_cli.codegen.robot import sampled_sensors
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
-from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, walk
+from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, State, walk
 from deepbots_cli.insight.export.actuators import output
 from deepbots_cli.insight.export.readings import Reading, Readings
 from deepbots_cli.insight.export.recording import Watch, with_probes
@@ -61,7 +61,11 @@ def robot_program(program: Program) -> Program:
 
 
 def sent_readings(program: Program) -> list[Reading]:
-    """What a robot sends: its sensors, and what a policy of the scenario reads of the world. `program` is one of `robot_program`."""
+    """What a robot sends: its sensors, and what a policy of the scenario reads of the world. `program` is one of `robot_program`.
+
+    Raises:
+        UsageError: A policy needs values between two actions.
+    """
     found = _Collector(program)
     agent = program.agent
     for robot in program.robots:
@@ -79,6 +83,11 @@ def sent_readings(program: Program) -> list[Reading]:
         found.supervised(agent.goal.targets)
     for part in agent.choices:
         found.supervised([option.forbidden.scalar for option in part.options if option.forbidden is not None])
+    if found.remembers and program.action_repeat > 1:
+        raise UsageError(
+            f"{program.name} has `action_repeat: {program.action_repeat}` and an observation with a memory: its bundle needs values in"
+            " every timestep, and a simulated robot sends them once per action"
+        )
     return list(found.readings.values())
 
 
@@ -93,12 +102,15 @@ class _Collector:
         self._fields = {f"{robot.name}.{entry.name}": (robot, entry) for robot in program.robots for entry in robot.emitted}
         self._followed: set[str] = set()
         self._robots = program.robots
+        self.remembers = False
+        """Whether a value has a memory, which advances in every timestep."""
 
     def add(self, reading: Reading) -> None:
         self.readings.setdefault(reading.info.name, reading)
 
     def supervised(self, trees: Sequence[Scalar]) -> None:
         """What values of the supervisor are made of."""
+        self.remembers |= any(isinstance(node, State) for tree in trees for node in walk(tree))
         for leaf in _leaves(trees):
             if isinstance(leaf, EngineRead):
                 self._of_world(leaf)
@@ -113,6 +125,7 @@ class _Collector:
                     self._on_board(robot, entry.scalars)
 
     def _on_board(self, robot: Robot, trees: Sequence[Scalar]) -> None:
+        self.remembers |= any(isinstance(node, State) for tree in trees for node in walk(tree))
         sensors = {sensor.name: sensor for sensor in robot.sensors}
         for leaf in _leaves(trees):
             if isinstance(leaf, EngineRead):

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER
+from deepbots_cli.expressions.functions import FUNCTIONS
+from deepbots_cli.expressions.scalar import EngineRead, walk
+from deepbots_cli.expressions.types import QUATERNION, SPACE
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Actuator, Cartesian, Motor, Robot, Sensor, Thrust
 from deepbots_robot.topics import Field, Topic, first_mapping
 
 _UNITS = {"velocity_motor": ("rad/s", "m/s"), "position_motor": ("rad", "m"), "torque_motor": ("N*m", "N")}
+
+_VECTORS = {"position": SPACE, "velocity": SPACE, "angular_velocity": SPACE, "orientation": QUATERNION}
 
 
 def sensor_fields(program: Program) -> list[Field]:
@@ -19,6 +25,25 @@ def sensor_fields(program: Program) -> list[Field]:
 def command_fields(program: Program) -> list[Field]:
     """The actuators of the robots that the agent moves, in the order of their commands; those without a command are left out."""
     return [command_field(program, robot, entry.actuator) for robot in _robots(program) for entry in robot.commands]
+
+
+def reading_fields(program: Program) -> list[Field]:
+    """What expressions read of the world, by names such as `position(ball)`: no robot measures it."""
+    roots = {f"{body.name}.{body.model.root}": body.name for body in program.world.robots}
+    joints = {f"{body.name}.{joint.name}": joint for body in program.world.robots for joint in body.model.joints}
+    found: dict[str, Field] = {}
+    for value in program.computed_expressions:
+        for leaf in (leaf for tree in value.scalars for leaf in walk(tree)):
+            function = FUNCTIONS.get(leaf.function) if isinstance(leaf, EngineRead) else None
+            if not isinstance(leaf, EngineRead) or function is None:
+                continue
+            joint = joints.get(leaf.subjects[0])
+            shared = NUMBER if joint is None else LENGTH if joint.type == "prismatic" else ANGLE
+            components = _VECTORS.get(leaf.function, ())
+            name = f"{leaf.function}({', '.join(roots.get(subject, subject) for subject in leaf.subjects)})"
+            unit = "1" if function.boolean else str(function.result(shared))
+            found.setdefault(name, Field(name, "", leaf.function, unit, (len(components) or 1,), components=components))
+    return list(found.values())
 
 
 def sensor_field(robot: Robot, sensor: Sensor) -> Field:
@@ -56,8 +81,9 @@ def command_field(program: Program, robot: Robot, actuator: Actuator) -> Field:
 
 
 def mapping(program: Program) -> dict[str, Topic]:
-    """The topic of each sensor and of each command: as the scenario says under `ros`, else a first one."""
-    return {**first_mapping(sensor_fields(program)), **first_mapping(command_fields(program), commands=True), **program.ros}
+    """The topic of each sensor, reading of the world and command: as the scenario says under `ros`, else a first one."""
+    received = [*sensor_fields(program), *reading_fields(program)]
+    return {**first_mapping(received), **first_mapping(command_fields(program), commands=True), **program.ros}
 
 
 def _robots(program: Program) -> Iterator[Robot]:

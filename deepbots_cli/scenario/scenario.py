@@ -389,12 +389,12 @@ class Deploy(Section):
 
 
 class RosTopic(Section):
-    """The ROS 2 topic of a sensor or an actuator."""
+    """The ROS 2 topic of a sensor, a reading of the world or an actuator."""
 
     topic: Annotated[str, ROS_TOPIC]
     """Name of the topic, such as `/joint_states`."""
     type: Annotated[str, Word(PARTS)]
-    """Type of its messages. The message must have a part with the unit and the number of values of the sensor or actuator."""
+    """Type of its messages. The message must have a part with the unit and the number of values of the sensor, reading or actuator."""
     part: PlainText | None = None
     """Part of the message, such as `velocity` or `linear.x`. Default: the part whose unit and number of values fit."""
 
@@ -597,9 +597,10 @@ class Scenario(Section):
     """A search for better values of the scenario."""
     deploy: Deploy | None = None
     """What a real robot needs; with this section, `lint` reports readings of the world that nothing supplies (DB617)."""
-    ros: dict[Annotated[str, Reference("sensor or actuator")], RosTopic] = {}
-    """ROS 2 topics of sensors and actuators, such as `cart.pole_angle`, for `deepbots serve --ros`. `deepbots inspect --ros` prints a first
-    version; a sensor or an actuator without an entry has the topic that it prints."""
+    ros: dict[Annotated[str, Reference("sensor, reading or actuator")], RosTopic] = {}
+    """ROS 2 topics, for `deepbots serve --ros`: of sensors and actuators (`cart.pole_angle`), and of readings of the world that no robot
+    measures (`position(ball)`). `deepbots inspect --ros` prints this section with a topic for each of them; it is used where there is no
+    entry."""
     tests: dict[LocalName, ScenarioTest] = {}
     """Tests for `deepbots test`, each under a name that you choose: who acts, and the expected result."""
 

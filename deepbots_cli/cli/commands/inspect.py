@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepbots_cli import api
+from deepbots_cli.analysis.deployment import Deployment
 from deepbots_cli.cli import inspection, terminal
 from deepbots_cli.cli.command import Case, EngineOrRun, Overrides, Stage, option
 from deepbots_cli.cli.sources import is_robot, open_robot, open_source
@@ -21,7 +22,7 @@ from deepbots_cli.document import MappingNode, Permissions, shipped
 from deepbots_cli.document.load import with_settings_at
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError
 from deepbots_cli.program import Program
-from deepbots_cli.program.topics import mapping
+from deepbots_cli.program.topics import command_fields, mapping, sensor_fields
 from deepbots_robot.topics import Topic
 
 if TYPE_CHECKING:
@@ -82,7 +83,8 @@ def command(
     terminal.note_warnings(side.findings, scenario)
     program = side.program.variant(case, stage)
     if ros:
-        found = mapping(program)
+        needed = {*Deployment(program).unmeasured, *(field.name for field in (*sensor_fields(program), *command_fields(program)))}
+        found = {name: topic for name, topic in mapping(program).items() if name in needed}
         terminal.show(found, _ros_text(found), as_json=as_json)
         return
     root = side.root if isinstance(side.root, MappingNode) else MappingNode(Span(Source(scenario, ""), 0, 0), {})

@@ -52,7 +52,9 @@ _EXTRAS = {
     "contrib": "MaskablePPO, RecurrentPPO and TQC",
     "view": "the page of view and play",
     "editor": "the language server",
-    "export": "policies as ONNX",
+    "export": "policies for robots",
+    "ros": "ROS 2 topics of serve",
+    "zmq": "ZeroMQ of serve",
     "cluster": "--workers and --cluster",
     "tune": "searches by tune",
 }
