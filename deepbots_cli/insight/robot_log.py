@@ -184,9 +184,7 @@ def compare_log(run: Run, path: Path, *, model: ModelName = "best") -> list[Fiel
     ]
     count = max(MIN_STEPS, len(steps))
     with torch_settings():
-        recorded = recorded_steps(
-            run.program, [*control.readings.values()], control.outputs, lambda world: PolicyDriver(learner, world), engine=run.record.engine
-        )
+        recorded = recorded_steps(control, lambda world: PolicyDriver(learner, world), engine=run.record.engine)
         simulated = [step.inputs for step in islice(recorded, count)]
         recorded.close()
     logged = [content.get("inputs") for _, content in steps]

@@ -39,7 +39,7 @@ def logged(run: Run, path: Path, measured: Callable[[float, float], float], step
     learner = policy.loaded(run, "best")
     control = ControlStep(run.program, learner)
     writer = LogWriter(path, {})
-    simulation = recorded_steps(run.program, [*control.readings.values()], control.outputs, lambda world: PolicyDriver(learner, world))
+    simulation = recorded_steps(control, lambda world: PolicyDriver(learner, world))
     for number, step in enumerate(islice(simulation, steps)):
         time = number * PERIOD
         angle = np.array([measured(time, float(step.inputs["cart.pole_angle"][0]))])

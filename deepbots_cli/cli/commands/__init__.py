@@ -43,7 +43,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "Robot": {
         "transfer": ("transfer.command", "Check that a policy works in another engine or world."),
         "export": ("export.command", "Export the policy of a run for a robot."),
-        "serve": ("serve.command", "Act for a robot by an exported policy, or simulate the robot."),
+        "serve": ("serve.command", "Let a policy act for a robot, or simulate the robot."),
     },
     "Develop": {
         "compile": ("code.compile_", "Print the Python module that a scenario compiles to."),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -11,6 +13,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import EPISODES, Engine, Json, Overrides, integer, option
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.robot import SimulatedRobot
@@ -21,7 +24,9 @@ _LINK = "Link"
 
 
 def command(
-    source: Annotated[str, typer.Argument(metavar="BUNDLE|SCENARIO", help="A bundle of `export`, or with --as-robot a scenario or a run.")],
+    source: Annotated[
+        str, typer.Argument(metavar="BUNDLE|RUN|SCENARIO", help="A bundle of `export` or a run; with --as-robot a scenario or a run.")
+    ],
     as_robot: Annotated[bool, option("--as-robot", "Simulate the robot of a scenario: send its sensors and obey commands.")] = False,
     ros: Annotated[bool, option("--ros", "Use ROS 2 topics, by Cyclone DDS; this is the default.", _LINK)] = False,
     zmq: Annotated[
@@ -49,7 +54,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Act for a robot by the policy of a bundle, or simulate the robot.
+    """Let a policy act for a robot, or simulate the robot.
 
     The policy gets what sensors measure over ROS 2 or ZeroMQ and answers with commands, both in SI units, at the rate of the bundle. Every
     message is checked: layout, finite numbers, range, age and order. Commands are kept within the limits of the actuators. On silence, and
@@ -104,13 +109,28 @@ def _serve_policy(folder: Path, transport: Transport, *, as_json: bool, **settin
     from deepbots_robot.server import report_lines
     from deepbots_robot.serving import ServeError, serve
 
-    if (folder / "run.json").is_file():
-        raise UsageError(f"{folder} is a run; export it first: deepbots export {folder}")
-    try:
-        report = serve(load(folder), transport, note=terminal.note, **settings)
-    except (BundleError, ServeError) as error:
-        raise UsageError(str(error)) from None
+    with ExitStack() as stack:
+        if folder_kind(folder) is SourceKind.RUN:
+            folder = _exported(folder, stack)
+        try:
+            report = serve(load(folder), transport, note=terminal.note, **settings)
+        except (BundleError, ServeError) as error:
+            raise UsageError(str(error)) from None
     terminal.show(report, *report_lines(report), as_json=as_json)
+
+
+def _exported(run: Path, stack: ExitStack) -> Path:
+    """The bundle of the best policy of a run, in a folder that lasts as long as `stack`."""
+    from deepbots_cli.insight.export.bundle import bundle_files
+    from deepbots_cli.learning.run import Run
+
+    with terminal.transient_line("exporting the policy ..."):
+        folder = Path(stack.enter_context(TemporaryDirectory())) / run.resolve().name
+        for name, content in bundle_files(Run.open(run), "best").items():
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+    return folder
 
 
 def _simulate(name: str, running: Any, *, as_json: bool, success: bool) -> None:
