@@ -16,7 +16,7 @@ from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Findings, Rule, Source
 from deepbots_cli.diagnostics.nearest import is_typo, nearest_word
-from deepbots_cli.diagnostics.registry import matching_rules, unknown_rule_message
+from deepbots_cli.diagnostics.registry import RULES, matching_rules, unknown_rule_message
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
@@ -81,7 +81,7 @@ def command(
             raise UsageError(f"--json prints findings, and '{finding}' is not a finding; leave it out")
         terminal.print_result("\n".join(map(_wrapped, lines)))
     elif as_json:
-        terminal.show_json({"version": 1, "rules": [_data(entry) for entry in found]})
+        terminal.show_json(rules_data(found))
     elif len(found) > 1:
         terminal.print_result(table([_row(entry) for entry in found], indent=""))
     else:
@@ -94,6 +94,11 @@ def _row(entry: Rule) -> Row:
 
 def _severity(rule: Rule) -> str:
     return f"{rule.severity}, in preview" if rule.preview else rule.severity
+
+
+def rules_data(rules: Iterable[Rule] = tuple(RULES.values())) -> dict[str, object]:
+    """The registry of findings with the text, example and remedy of each page, as `deepbots explain --json` prints it."""
+    return {"version": 1, "rules": [_data(entry) for entry in rules]}
 
 
 def _data(entry: Rule) -> Row:

@@ -1,0 +1,21 @@
+"""Sphinx: HTML of the pages that build_site.py writes."""
+
+project = "deepbots"
+author = "the authors of deepbots"
+extensions = ["myst_parser"]
+source_suffix = {".md": "markdown"}
+html_theme = "furo"
+html_title = "deepbots"
+html_static_path = ["theme"]
+html_css_files = ["site.css"]
+html_js_files = [("gallery.js", {"defer": "defer"})]
+html_copy_source = False
+html_show_sphinx = False
+html_show_copyright = False
+templates_path = ["theme"]
+exclude_patterns = ["files"]
+myst_enable_extensions = ["html_image"]
+myst_heading_anchors = 4  # named as GitHub does
+highlight_language = "none"
+suppress_warnings = ["misc.highlighting_failure"]  # examples of mistakes are not always YAML
+
