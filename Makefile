@@ -59,6 +59,10 @@ editors: dev $(EDITORS)/installed ## what editors make of the JSON Schema and of
 results: dev ## docs/results.md: what is missing or stale of it; SCENARIO=, PART=, OPTIONS=--anew
 	$(BIN)/python -m tests.results $(SCENARIO) $(PART) $(OPTIONS)
 
+.PHONY: docs
+docs: $(VENV)/ready-for-docs ## the site in build/docs; a warning of Sphinx is an error
+	$(BIN)/python docs/build_site.py
+
 .PHONY: clean
 clean: ## remove .venv and what tools leave behind; runs stay
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
@@ -82,10 +86,15 @@ $(VENV)/ready-to-view: pyproject.toml | $(VENV)/made
 	@$(PIP) -e '.[view]'
 	@touch $@
 
+$(VENV)/ready-for-docs: pyproject.toml | $(VENV)/made
+	@echo "installing what the site needs; this takes a few minutes the first time"
+	@$(PIP) -e '.[docs]'
+	@touch $@
+
 $(VENV)/ready-to-develop: pyproject.toml | $(VENV)/made
 	@echo "installing what tests and checks need; this takes a few minutes the first time"
 	@$(PIP) -e '.[dev]'
-	@touch $(VENV)/ready-to-train $@
+	@touch $(VENV)/ready-to-train $(VENV)/ready-for-docs $@
 
 $(EDITORS)/installed: tests/editors/package.json
 	@command -v node >/dev/null && command -v npm >/dev/null || \

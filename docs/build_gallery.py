@@ -1,7 +1,7 @@
 """The pages of the gallery: one for each shipped scenario that extends no other, with its variants as sections.
 
-A page begins with the text of docs/scenarios, if there is one. Spaces, rewards and endings are read from the compiled scenarios, results from
-docs/results/*.json. Nothing is simulated or trained here. Paths are relative to the root of the repository.
+A page begins with the text of docs/scenarios, if there is one. Spaces, rewards and endings are read from the compiled scenarios, results
+from docs/results/*.json. Nothing is simulated or trained here. Paths are relative to the root of the repository.
 """
 
 from __future__ import annotations
@@ -168,7 +168,10 @@ def _variant_notes(name: str) -> Iterator[str]:
 def _facts(here: World) -> Iterator[str]:
     scenario = here.row("scenario")
     engine = f", engine `{engine}`" if (engine := here.row("training").get("engine")) else ""
-    limits = [f"{scenario['max_steps']:,} steps" if scenario["max_steps"] else "", f"{scenario['max_time_s']:g} s" if scenario["max_time_s"] else ""]
+    limits = [
+        f"{scenario['max_steps']:,} steps" if scenario["max_steps"] else "",
+        f"{scenario['max_time_s']:g} s" if scenario["max_time_s"] else "",
+    ]
     rows = [
         ("robots", ", ".join(f"{row['robot']} ({row['model']}, {_number(row['mass_kg'])} kg)" for row in _distinct_robots(here))),
         ("sensors", ", ".join(here.sensors) or "none"),
@@ -185,7 +188,9 @@ def _facts(here: World) -> Iterator[str]:
 
 def _distinct_robots(here: World) -> list[Mapping[str, Any]]:
     """One of each set of copies, which are named `cart#0`, `cart#1`."""
-    return list({str(row["robot"]).partition("#")[0]: {**row, "robot": str(row["robot"]).partition("#")[0]} for row in here.rows("robots")}.values())
+    return list(
+        {str(row["robot"]).partition("#")[0]: {**row, "robot": str(row["robot"]).partition("#")[0]} for row in here.rows("robots")}.values()
+    )
 
 
 def _spaces(here: World) -> Iterator[str]:
@@ -211,7 +216,7 @@ def _grouped(rows: Sequence[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
     pending: list[Mapping[str, Any]] = []
 
     def stem(row: Mapping[str, Any]) -> tuple[Any, ...]:
-        return (re.sub(r"(\[\d+\]|#\d+|\.[xyzw]|\.\d+)", "", str(row["name"])), *(row.get(key) for key in ("low", "high", "unit", "seen_as")))
+        return (re.sub(r"\d+|\.[xyzw]\b", "", str(row["name"])), *(row.get(key) for key in ("low", "high", "unit", "seen_as")))
 
     def one() -> Mapping[str, Any]:
         first, last = pending[0], pending[-1]
@@ -256,7 +261,11 @@ def _differences(base: World, other: World) -> Iterator[str]:
 
 def _file(name: str) -> Iterator[str]:
     text = (ROOT / "scenarios" / f"{name}.yaml").read_text(encoding="utf-8").rstrip()
-    yield from (f"`deepbots new mine --from {name}` writes a copy of [{name}.yaml](../../scenarios/{name}.yaml).", "", f"```yaml\n{text}\n```")
+    yield from (
+        f"`deepbots new mine --from {name}` writes a copy of [{name}.yaml](../../scenarios/{name}.yaml).",
+        "",
+        f"```yaml\n{text}\n```",
+    )
 
 
 # Results
@@ -328,5 +337,3 @@ def _number(value: float) -> str:
 
 def _cell(text: str) -> str:
     return text.replace("|", "\\|").replace("\n", " ")
-
-

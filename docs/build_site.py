@@ -134,27 +134,32 @@ def llms_txt() -> str:
     return "\n".join(lines)
 
 
-def write_for_machines(target: Path) -> None:
+def write_for_machines(sources: Path, target: Path) -> None:
     """Put the pages as Markdown with their files, the JSON Schema, the registry of findings and llms.txt into the site."""
-    shutil.copytree(SOURCES, target, dirs_exist_ok=True)
+    shutil.copytree(sources, target, dirs_exist_ok=True)
     shutil.copytree(ROOT / "schemas", target / "schemas", dirs_exist_ok=True)
     (target / "rules.json").write_text(json.dumps(rules_data(), indent=2) + "\n", encoding="utf-8")
     (target / "llms.txt").write_text(llms_txt(), encoding="utf-8")
 
 
-def build() -> int:
-    """Build the site; the exit status of Sphinx, which counts warnings as errors."""
-    if find_spec("sphinx") is None or find_spec("myst_parser") is None or find_spec("furo") is None:
-        print("the site needs the extra `docs`: pip install -e '.[docs]'", file=sys.stderr)
+def write_html(sources: Path, target: Path) -> int:
+    """Make HTML of the pages; the exit status of Sphinx, which counts warnings as errors and names their file and line."""
+    shutil.rmtree(target, ignore_errors=True)
+    options = ["-q", "-W", "--keep-going", "-E", "-b", "html", "-c", str(ROOT / "docs"), "-d", f"{target}-trees"]
+    return subprocess.run([sys.executable, "-m", "sphinx", *options, str(sources), str(target)], check=False).returncode
+
+
+def build(sources: Path = SOURCES, target: Path = SITE) -> int:
+    """Build the site; an exit status."""
+    if missing := [name for name in ("sphinx", "myst_parser", "furo") if find_spec(name) is None]:
+        print(f"{', '.join(missing)} cannot be imported; the site needs the extra `docs`: pip install -e '.[docs]'", file=sys.stderr)
         return 2
-    write_sources(SOURCES)
-    shutil.rmtree(SITE, ignore_errors=True)
-    options = ["-q", "-W", "--keep-going", "-E", "-b", "html", "-c", str(ROOT / "docs"), "-d", str(ROOT / "build" / "docs-trees")]
-    done = subprocess.run([sys.executable, "-m", "sphinx", *options, str(SOURCES), str(SITE)], check=False)
-    if done.returncode == 0:
-        write_for_machines(SITE)
-        print(f"{SITE.relative_to(ROOT)}/index.html")
-    return done.returncode
+    write_sources(sources)
+    status = write_html(sources, target)
+    if status == 0:
+        write_for_machines(sources, target)
+        print(f"{target}/index.html")
+    return status
 
 
 if __name__ == "__main__":
