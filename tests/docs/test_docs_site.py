@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import posixpath
 import re
+from collections.abc import Iterator
 from html.parser import HTMLParser
 from importlib import import_module
 from pathlib import Path
@@ -20,10 +21,10 @@ SCENARIOS = sorted(path.stem for path in (DOCS.parent / "scenarios").glob("*.yam
 
 
 @pytest.fixture(scope="module")
-def site() -> ModuleType:
+def site() -> Iterator[ModuleType]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(DOCS))
-        return import_module("build_site")
+        yield import_module("build_site")
 
 
 @pytest.fixture(scope="module")
