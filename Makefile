@@ -47,6 +47,7 @@ check: dev ## everything that a change must pass
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy --platform win32
 	$(BIN)/lint-imports
 	$(PYTEST) -m "not slow and not editors and not browser"
 
