@@ -60,6 +60,10 @@ editors: dev $(EDITORS)/installed ## what editors make of the JSON Schema and of
 results: dev ## docs/results.md: what is missing or stale of it; SCENARIO=, PART=, OPTIONS=--anew
 	$(BIN)/python -m tests.results $(SCENARIO) $(PART) $(OPTIONS)
 
+.PHONY: package
+package: dev ## sdist and wheel, used in a new environment; downloads nothing
+	$(BIN)/python -m tests.packaging.clean
+
 .PHONY: docs
 docs: $(VENV)/ready-for-docs ## the site in build/docs; a warning of Sphinx is an error
 	$(BIN)/python docs/build_site.py

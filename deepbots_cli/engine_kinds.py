@@ -29,7 +29,7 @@ class EngineKind(NamedTuple):
     of its batches: many worlds of one model at once.
 
     `last_python` is the last Python that the library is built for; `on_windows` says whether it is built for Windows. `mesh_terrain` says
-    why a mesh cannot be the ground, None if it can, and `implausible_inertia` why a link cannot have an inertia that no rigid body can have.
+    why a mesh cannot be the ground, None if it can; `implausible_inertia` why a link cannot have an inertia that no rigid body can have.
     """
 
     summary: str

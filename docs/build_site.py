@@ -30,7 +30,13 @@ SOURCES = ROOT / "build" / "docs-sources"
 SITE = ROOT / "build" / "docs"
 LIST = "docs/README.md"
 """The page that lists all pages in groups, which are those of the navigation."""
-NAMES = {"README.md": "index.md", LIST: "pages.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+NAMES = {
+    "README.md": "index.md",
+    LIST: "pages.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
+    "NOTICES.md": "notices.md",
+}
 """Pages whose name in the site differs from their path below docs/."""
 _LINK = re.compile(r"(\]\(|<img src=\")([^)\s\"#]*)(#[^)\s\"]*)?")
 _FENCE = re.compile(r"^(```.*?^```$)", re.MULTILINE | re.DOTALL)
