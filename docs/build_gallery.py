@@ -10,6 +10,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
+from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +18,7 @@ from deepbots_cli.cli.inspection import Tables, scenario_tables
 from deepbots_cli.cli.sources import open_source
 from deepbots_cli.document import Permissions
 from deepbots_cli.learning.statistics import wilson
+from deepbots_cli.program import Program
 from tests.results.experiment import Training, experiments
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -28,9 +30,10 @@ _DIGITS = 4
 
 
 class World(NamedTuple):
-    """A shipped scenario: its name and the tables of `deepbots inspect`."""
+    """A shipped scenario: its name, what it compiles to, and the tables of `deepbots inspect`."""
 
     name: str
+    program: Program
     tables: Tables
 
     def row(self, table: str) -> Mapping[str, Any]:
@@ -78,7 +81,8 @@ def families() -> dict[str, tuple[str, ...]]:
 @cache
 def world(name: str) -> World:
     opened = open_source(name, (), Permissions())
-    return World(name, scenario_tables(opened.program, opened.root, None, opened.learner))
+    assert opened.root is not None
+    return World(name, opened.program, scenario_tables(opened.program, opened.root, None, opened.learner))
 
 
 def merged() -> dict[str, str]:
@@ -167,7 +171,10 @@ def _variant_notes(name: str) -> Iterator[str]:
 
 def _facts(here: World) -> Iterator[str]:
     scenario = here.row("scenario")
-    engine = f", engine `{engine}`" if (engine := here.row("training").get("engine")) else ""
+    repeat = here.program.action_repeat
+    often = f"; an action is held for {repeat} timesteps" if repeat > 1 else ""
+    engine = f", engine `{here.program.engine}`" if here.program.engine else ""
+    chosen = [f"{row['hyperparameter']} {_value(row['value'])}" for row in here.rows("hyperparameters") if row["from"] == "scenario"]
     limits = [
         f"{scenario['max_steps']:,} steps" if scenario["max_steps"] else "",
         f"{scenario['max_time_s']:g} s" if scenario["max_time_s"] else "",
@@ -175,12 +182,12 @@ def _facts(here: World) -> Iterator[str]:
     rows = [
         ("robots", ", ".join(f"{row['robot']} ({row['model']}, {_number(row['mass_kg'])} kg)" for row in _distinct_robots(here))),
         ("sensors", ", ".join(here.sensors) or "none"),
-        ("timestep", f"{_number(1000 * scenario['timestep_s'])} ms, {scenario['substeps']} physics steps{engine}"),
+        ("timestep", f"{_number(1000 * scenario['timestep_s'])} ms, {scenario['substeps']} physics steps{engine}{often}"),
         ("time limit", " or ".join(filter(None, limits)) or "none"),
         ("action space", f"`{scenario['action_space']}`"),
         ("observation space", f"`{scenario['observation_space']}`"),
         ("solved", scenario["solved"] or "no criterion"),
-        ("algorithm", f"{here.algorithm}, {here.row('training').get('total_timesteps', 0):,} steps"),
+        ("algorithm", f"{here.algorithm}, {here.row('training').get('total_timesteps', 0):,} steps; {', '.join(chosen)}"),
         ("watch, train", f"`deepbots view {here.name}`, `deepbots train {here.name}`"),
     ]
     yield from _table(("", ""), rows)
@@ -188,20 +195,23 @@ def _facts(here: World) -> Iterator[str]:
 
 def _distinct_robots(here: World) -> list[Mapping[str, Any]]:
     """One of each set of copies, which are named `cart#0`, `cart#1`."""
-    return list(
-        {str(row["robot"]).partition("#")[0]: {**row, "robot": str(row["robot"]).partition("#")[0]} for row in here.rows("robots")}.values()
-    )
+    named = [{**row, "robot": str(row["robot"]).partition("#")[0]} for row in here.rows("robots")]
+    return list({row["robot"]: row for row in named}.values())
 
 
 def _spaces(here: World) -> Iterator[str]:
-    rows = [(f"`{row['action']}`", row["kind"], _options(row), f"`{row.get('unit', '1')}`") for row in here.rows("action")]
-    yield from ("", *_table(("action", "kind", "values", "unit"), rows))
+    actions = [(f"`{row['action']}`", row["kind"], _options(row), f"`{row.get('unit', '1')}`") for row in here.rows("action")]
+    yield from ("", *_table(("action", "kind", "values", "unit"), actions))
     rows = []
     for row in _grouped(here.rows("observation")):
+        index = "image" if row["index"] is None else str(row["index"])
         span = "" if row.get("low") is None else f"{_number(row['low'])} .. {_number(row['high'])}"
-        rows.append((str(row["index"]), f"`{row['name']}`", span, f"`{row.get('unit', '1')}`", str(row.get("seen_as", ""))))
+        age = f", {row['steps_ago']} step{'s' * (row['steps_ago'] > 1)} ago" if row.get("steps_ago") else ""
+        rows.append((index, f"`{row['name']}`{age}", span, f"`{row.get('unit', '1')}`", str(row.get("seen_as", ""))))
     if rows:
         yield from ("", *_table(("index", "observation", "range", "unit", "seen as"), rows))
+    if "goal" in here.tables:
+        yield from ("", *_table(("goal", "value"), [(key, f"`{text}`") for key, text in here.row("goal").items()]))
 
 
 def _options(row: Mapping[str, Any]) -> str:
@@ -213,24 +223,24 @@ def _options(row: Mapping[str, Any]) -> str:
 
 def _grouped(rows: Sequence[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
     """Consecutive entries of one vector or history with the same range as one row."""
-    pending: list[Mapping[str, Any]] = []
 
-    def stem(row: Mapping[str, Any]) -> tuple[Any, ...]:
-        return (re.sub(r"\d+|\.[xyzw]\b", "", str(row["name"])), *(row.get(key) for key in ("low", "high", "unit", "seen_as")))
+    def vector(row: Mapping[str, Any]) -> tuple[object, ...]:
+        name = re.sub(r"\d+|\.[xyzw]\b", "", str(row["name"]))
+        if name.count(".") > 1 or name.startswith("previous_action."):  # a component of a reading, or of an action
+            name = name.rpartition(".")[0]
+        return (name, *(row.get(key) for key in ("low", "high", "unit", "seen_as")))
 
-    def one() -> Mapping[str, Any]:
-        first, last = pending[0], pending[-1]
-        if len(pending) == 1:
-            return first
-        return {**first, "index": f"{first['index']} .. {last['index']}", "name": f"{first['name']} .. {last['name']}"}
+    for _, group in groupby(rows, vector):
+        first, *others = group
+        last = others[-1] if others else first
+        yield first if not others else {**first, **{key: f"{first[key]} .. {last[key]}" for key in ("index", "name")}}
 
-    for row in rows:
-        if pending and stem(pending[-1]) != stem(row):
-            yield one()
-            pending = []
-        pending.append(row)
-    if pending:
-        yield one()
+
+def _value(value: object) -> str:
+    """A hyperparameter as the language writes it."""
+    if isinstance(value, list):
+        return " ".join(map(str, value))
+    return f"`{value}`" if isinstance(value, str) else f"{value:,}" if isinstance(value, int) else str(value)
 
 
 def _task(here: World) -> Iterator[str]:
@@ -292,7 +302,8 @@ def _results(name: str, *, heading: bool = True) -> Iterator[str]:
     yield from ("", "## Results" if heading else "### Results", "")
     if (ROOT / f"docs/images/results/{name}.svg").is_file():
         yield from (f"![Learning curves of {experiment.title}](../images/results/{name}.svg)", "")
-    yield from _table(("policy", "steps", "CPU", "episodes", "mean return", "successes"), rows)
+    shown = 6 if any(row[5] for row in rows) else 5
+    yield from _table(("policy", "steps", "CPU", "episodes", "mean return", "successes")[:shown], [row[:shown] for row in rows])
     anchor = re.sub(r"[^\w\- ]", "", experiment.title.lower()).replace(" ", "-")
     yield from ("", f"Intervals are of 95 %. [Results](../results.md#{anchor}) has every seed, evaluation and target.", "")
     yield from ("```console", *(f"$ {command}" for command in dict.fromkeys(commands)), "```")
