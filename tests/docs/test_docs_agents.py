@@ -48,3 +48,50 @@ def test_the_loop_for_agents_prints_what_the_page_shows(
             )
     assert wrong == []
     assert len(steps()) == 7
+
+
+FAULTS = {
+    "timestep: 32 ms": "timestap: 32",
+    "wheel_speed: 5 rad/s": "wheel_speed: 5 radd/s",
+    "joint: pole_hinge": "joint: pole_hing",
+    "type: velocity_motor": "type: velocity_moter",
+    "max_torque: 10 N*m": "max_torque: 10",
+    "drive * wheel_speed": "drive * wheel_sped",
+    "position(cart).x": "positon(cart).x",
+    "velocity(cart.tip)": "velocity(cart.tipp)",
+    "reward:": "rewards:",
+    "abs(cart.pole_angle)": "abs(cart.pole_angel)",
+    "uniform(-1": "unifrom(-1",
+    "algorithm: PPO": "algorithm: PPPO",
+}
+
+
+def test_a_script_that_knows_no_word_of_the_language_repairs_twelve_faults_by_the_edits_of_lint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    main(["new", "mine", "--template", "cartpole", "--json"])
+    capsys.readouterr()
+    scenario = Path("mine.yaml")
+    whole = text = scenario.read_text(encoding="utf-8")
+    for right, wrong in FAULTS.items():
+        assert right in whole
+        text = text.replace(right, wrong, 1)
+    for _ in range(len(FAULTS)):
+        scenario.write_text(text, encoding="utf-8")
+        main(["lint", "mine.yaml", "--json"])
+        edits = [edit for finding in json.loads(capsys.readouterr().out)["findings"] for edit in (finding["fix"] or {"edits": []})["edits"]]
+        if not edits:
+            break
+        text = edited(text, edits)
+    assert text == whole
+
+
+def edited(text: str, edits: list[dict[str, Any]]) -> str:
+    """The text after edits, the last ones first, so that places stay."""
+    lines = text.splitlines(keepends=True)
+    for edit in sorted(edits, key=lambda edit: (edit["start"]["line"], edit["start"]["column"]), reverse=True):
+        assert edit["start"]["line"] == edit["end"]["line"]
+        row = edit["start"]["line"] - 1
+        lines[row] = lines[row][: edit["start"]["column"] - 1] + edit["text"] + lines[row][edit["end"]["column"] - 1 :]
+    return "".join(lines)
