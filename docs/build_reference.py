@@ -11,6 +11,7 @@ glossary.md  terms of reinforcement learning and their place in the language, fr
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from inspect import cleandoc
 from pathlib import Path
@@ -342,7 +343,7 @@ def _command(name: str) -> Iterator[str]:
             is_examples = all(line.startswith("deepbots ") for line in lines)
             yield from ("```console" if is_examples else "```text", *(f"$ {line}" if is_examples else line for line in lines), "```", "")
         else:
-            yield from (" ".join(block.split()), "")
+            yield from (_with_options_marked(" ".join(block.split())), "")
     yield f"`{' '.join(['deepbots', name, '[OPTIONS]', *arguments])}`"
     panels: dict[str, list[str]] = {}
     for parameter in command.params:
@@ -351,10 +352,17 @@ def _command(name: str) -> Iterator[str]:
         names, meaning = parameter.get_help_record(context)
         if parameter.param_type_name == "argument":
             names, meaning = parameter.metavar or parameter.name.upper(), meaning.removesuffix("  [required]")
-        row = f"| `{_cell(names)}` | {_cell(meaning)} |"
+        row = f"| `{_cell(names)}` | {_cell(_with_options_marked(meaning))} |"
         panels.setdefault(parameter.rich_help_panel or "", []).append(row)
     for panel, rows in sorted(panels.items(), key=lambda pair: pair[0] != ""):
         yield from ("", f"| {panel.lower() or 'argument or option'} | meaning |", "|---|---|", *rows)
+
+
+def _with_options_marked(text: str) -> str:
+    """With options such as --set as code, which the help for a terminal leaves plain."""
+    parts = text.split("`")
+    parts[::2] = [re.sub(r"(?<![\w-])--?[a-z][a-z-]*\b", r"`\g<0>`", part) for part in parts[::2]]
+    return "`".join(parts)
 
 
 def _argument(parameter: Any) -> str:

@@ -17,6 +17,7 @@ html_show_copyright = False
 templates_path = ["theme/templates"]
 exclude_patterns = ["files"]
 myst_enable_extensions = ["html_image"]
+smartquotes = False
 myst_heading_anchors = 4  # named as GitHub does
 highlight_language = "none"
 suppress_warnings = ["misc.highlighting_failure"]  # examples of mistakes are not always YAML
