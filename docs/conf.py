@@ -1,5 +1,12 @@
 """Sphinx: HTML of the pages that build_site.py writes."""
 
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from hover import with_hover_texts
+
 project = "deepbots"
 author = "the authors of deepbots"
 extensions = ["myst_parser"]
@@ -21,3 +28,13 @@ smartquotes = False
 myst_heading_anchors = 4  # named as GitHub does
 highlight_language = "none"
 suppress_warnings = ["misc.highlighting_failure"]  # examples of mistakes are not always YAML
+
+
+def setup(app):
+    """Add hover texts to each page."""
+
+    def add(app, name, template, context, doctree):
+        if "body" in context:
+            context["body"] = with_hover_texts(context["body"])
+
+    app.connect("html-page-context", add)

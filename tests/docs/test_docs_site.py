@@ -111,6 +111,23 @@ def test_machines_find_pages_findings_and_the_schema(site: ModuleType, sources: 
     assert (tmp_path / "schemas" / "deepbots-1.schema.json").is_file()
 
 
+def test_a_key_in_an_example_shows_its_description_and_a_name_shows_none(site: ModuleType) -> None:
+    spans = [
+        '<span class="nt">world</span>',
+        '<span class="nt">substeps</span>',
+        '<span class="nt">robots</span>',
+        '<span class="nt">cart</span>',
+    ]
+    block = f"{spans[0]}: {{{spans[1]}: 4}}\n{spans[2]}:\n  {spans[3]}: {{}}\n"
+    page = '<div class="highlight-{}"><div class="highlight"><pre><span></span>{}</pre></div></div>'
+    shown = import_module("hover").with_hover_texts(page.format("yaml notranslate", block))
+    titles = re.findall(r'<span class="nt"(?: title="([^"]*)")?>(\w+)</span>', shown)
+    assert [(bool(title), name) for title, name in titles] == [(True, "world"), (True, "substeps"), (True, "robots"), (False, "cart")]
+    assert titles[1][0].startswith("Number of physics steps")
+    assert re.sub(r' title="[^"]*"', "", shown) == page.format("yaml notranslate", block)
+    assert "title" not in import_module("hover").with_hover_texts(page.format("python notranslate", block))
+
+
 class Page(HTMLParser):
     """The links and the anchors of a page."""
 
