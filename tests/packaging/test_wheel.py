@@ -130,3 +130,9 @@ def test_notices_name_every_package_that_is_installed_and_the_citation_is_of_thi
     assert {name.strip() for row in rows for name in row.split(",")} - {"package"} == needed
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert (citation["version"], citation["license"]) == (deepbots_cli.__version__, project["license"])
+
+
+def test_the_page_about_the_installation_names_every_extra() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    page = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)) == set(extras)
