@@ -1,4 +1,4 @@
-"""The loop of docs/agents.md runs, and prints what the page shows."""
+"""The loop of docs/agents.md runs, prints what the page shows, and fits the schema of outputs."""
 
 from __future__ import annotations
 
@@ -8,11 +8,19 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import pytest
 
 from deepbots_cli.cli import main
 
 PAGE = Path(__file__).parents[2] / "docs" / "agents.md"
+
+
+def _schema(verb: str) -> dict[str, Any]:
+    """The documented output of a command."""
+    schema = json.loads((PAGE.parents[1] / "schemas" / "deepbots-output-1.schema.json").read_text(encoding="utf-8"))
+    jsonschema.Draft202012Validator.check_schema(schema)
+    return {**schema, "$ref": f"#/$defs/{verb}"}
 
 
 def steps() -> list[tuple[list[str], Any]]:
@@ -40,6 +48,8 @@ def test_the_loop_for_agents_prints_what_the_page_shows(
         for command in commands:
             main(shlex.split(command)[1:])
             printed = json.loads(capsys.readouterr().out)
+            verb = shlex.split(command)[1]
+            wrong += [f"{command}: {error.message}" for error in jsonschema.Draft202012Validator(_schema(verb)).iter_errors(printed)]
         wrong += lacking(shown, printed, commands[-1])
         if commands[0].startswith("deepbots new"):
             scenario = Path("mine.yaml")
@@ -48,6 +58,7 @@ def test_the_loop_for_agents_prints_what_the_page_shows(
             )
     assert wrong == []
     assert len(steps()) == 7
+    assert not jsonschema.Draft202012Validator(_schema("train")).is_valid(printed)
 
 
 FAULTS = {
