@@ -38,6 +38,8 @@ NAMES = {
     "NOTICES.md": "notices.md",
 }
 """Pages whose name in the site differs from their path below docs/."""
+UNSEARCHED = ("pages.md", "changelog.md")
+"""Pages that would be found for every word."""
 _LINK = re.compile(r"(\]\(|<img src=\")([^)\s\"#]*)(#[^)\s\"]*)?")
 _FENCE = re.compile(r"^(```.*?^```$)", re.MULTILINE | re.DOTALL)
 _ROW = re.compile(r"^\| \[([^\]]+)\]\(([^)]+)\) \| (.*) \|$")
@@ -59,7 +61,7 @@ def write_sources(target: Path) -> None:
         place = place_of(path)
         file = target / place
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(_for_site(text, path, copied), encoding="utf-8")
+        file.write_text(("---\nnosearch: true\n---\n" if place in UNSEARCHED else "") + _for_site(text, path, copied), encoding="utf-8")
     for path in sorted(copied):
         file = target / place_of(path)
         file.parent.mkdir(parents=True, exist_ok=True)

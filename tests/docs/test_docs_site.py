@@ -99,7 +99,7 @@ def test_every_page_of_the_gallery_has_a_picture(site: ModuleType) -> None:
 def test_every_picture_that_is_drawn_by_code_is_current_and_on_a_page(site: ModuleType, pages: dict[str, str]) -> None:
     drawn: dict[str, str] = import_module("build_figures").figures()
     assert [name for name, text in drawn.items() if (DOCS / "images" / name).read_text(encoding="utf-8") != text] == []
-    assert [name for name in drawn if not any(f"](images/{name})" in page for page in pages.values())] == []
+    assert [name for name in drawn if not any(f"images/{name})" in page for page in pages.values())] == []
 
 
 def test_machines_find_pages_findings_and_the_schema(site: ModuleType, sources: Path, tmp_path: Path) -> None:
