@@ -228,7 +228,7 @@ def _grouped(rows: Sequence[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
         name = re.sub(r"\d+|\.[xyzw]\b", "", str(row["name"]))
         if name.count(".") > 1 or name.startswith("previous_action."):  # a component of a reading, or of an action
             name = name.rpartition(".")[0]
-        return (name, *(row.get(key) for key in ("low", "high", "unit", "seen_as")))
+        return (name, *(row.get(key) for key in ("steps_ago", "low", "high", "unit", "seen_as")))
 
     for _, group in groupby(rows, vector):
         first, *others = group
