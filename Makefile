@@ -47,6 +47,7 @@ check: dev ## everything that a change must pass
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy --platform win32
 	$(BIN)/lint-imports
 	$(PYTEST) -m "not slow and not editors and not browser"
 
@@ -58,6 +59,14 @@ editors: dev $(EDITORS)/installed ## what editors make of the JSON Schema and of
 .PHONY: results
 results: dev ## docs/results.md: what is missing or stale of it; SCENARIO=, PART=, OPTIONS=--anew
 	$(BIN)/python -m tests.results $(SCENARIO) $(PART) $(OPTIONS)
+
+.PHONY: package
+package: dev ## sdist and wheel, used in a new environment; downloads nothing
+	$(BIN)/python -m tests.packaging.clean
+
+.PHONY: docs
+docs: $(VENV)/ready-for-docs ## the site in build/docs; a warning of Sphinx is an error
+	$(BIN)/python docs/build_site.py
 
 .PHONY: clean
 clean: ## remove .venv and what tools leave behind; runs stay
@@ -82,10 +91,15 @@ $(VENV)/ready-to-view: pyproject.toml | $(VENV)/made
 	@$(PIP) -e '.[view]'
 	@touch $@
 
+$(VENV)/ready-for-docs: pyproject.toml | $(VENV)/made
+	@echo "installing what the site needs; this takes a few minutes the first time"
+	@$(PIP) -e '.[docs]'
+	@touch $@
+
 $(VENV)/ready-to-develop: pyproject.toml | $(VENV)/made
 	@echo "installing what tests and checks need; this takes a few minutes the first time"
 	@$(PIP) -e '.[dev]'
-	@touch $(VENV)/ready-to-train $@
+	@touch $(VENV)/ready-to-train $(VENV)/ready-for-docs $@
 
 $(EDITORS)/installed: tests/editors/package.json
 	@command -v node >/dev/null && command -v npm >/dev/null || \

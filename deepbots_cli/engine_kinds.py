@@ -28,8 +28,8 @@ class EngineKind(NamedTuple):
     """`factory` is the `module:attribute` of a `port.EngineFactory`, `library` the module that it imports, `batch` the `module:attribute`
     of its batches: many worlds of one model at once.
 
-    `last_python` is the last Python that the library is built for. `mesh_terrain` says why a mesh cannot be the ground, None if it can.
-    `implausible_inertia` says why a link cannot have an inertia that no rigid body can have.
+    `last_python` is the last Python that the library is built for; `on_windows` says whether it is built for Windows. `mesh_terrain` says
+    why a mesh cannot be the ground, None if it can; `implausible_inertia` why a link cannot have an inertia that no rigid body can have.
     """
 
     summary: str
@@ -38,6 +38,7 @@ class EngineKind(NamedTuple):
     library: str | None = None
     batch: str | None = None
     last_python: tuple[int, int] | None = None
+    on_windows: bool = True
     mesh_terrain: Limitation | None = None
     implausible_inertia: Limitation | None = None
 
@@ -64,6 +65,8 @@ class EngineKind(NamedTuple):
     def missing(self) -> str:
         """Why its library is not there, as far as that is known."""
         here = sys.version_info[:2]
+        if sys.platform == "win32" and not self.on_windows:
+            return f"{self.title} has no build for Windows"
         if self.last_python is not None and here > self.last_python:
             return f"{self.title} has no build for Python {here[0]}.{here[1]}"
         return f"{self.title} is not installed"
@@ -73,6 +76,8 @@ class EngineKind(NamedTuple):
         """How to get it, or what to use instead."""
         others = [name for name, kind in ENGINES.own.items() if kind is not self and kind.is_installed]
         instead = f", or the engine `{others[0]}`" if others else ""
+        if others and sys.platform == "win32" and not self.on_windows:
+            return f"use the engine `{others[0]}`"
         if self.last_python is not None and sys.version_info[:2] > self.last_python:
             return f"use Python {self.last_python[0]}.{self.last_python[1]}{instead}"
         return f"install it with: pip install {self.library}{instead}"
@@ -115,6 +120,7 @@ ENGINES = Engines(
             "deepbots_cli.engines.pybullet.engine:PyBulletEngine",
             library="pybullet",
             last_python=(3, 11),
+            on_windows=False,
         ),
         "mujoco": EngineKind(
             "MuJoCo, several times as fast.",

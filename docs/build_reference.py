@@ -5,14 +5,22 @@
 keys.md      every key of a scenario, from the schema
 functions.md units, functions and built-in names, from the expression language
 rules.md     every finding, from the registry of rules and the docstrings of lint rules
+commands.md  every command with its options, from the help of the commands
 glossary.md  terms of reinforcement learning and their place in the language, from the glossary of `deepbots explain`
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
+from inspect import cleandoc
 from pathlib import Path
+from typing import Any
 
+import typer
+
+from deepbots_cli.cli.command import Commands
+from deepbots_cli.cli.commands import GROUPS
 from deepbots_cli.cli.commands.explain import topics
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, UNITS
@@ -45,7 +53,8 @@ Route = tuple[str, ...]
 
 def pages() -> dict[str, str]:
     """The text of each page by its file name."""
-    return {"keys.md": _Keys().text(), "functions.md": _functions(), "rules.md": _rules(), "glossary.md": _glossary()}
+    texts = {"functions.md": _functions(), "rules.md": _rules(), "commands.md": _commands(), "glossary.md": _glossary()}
+    return {"keys.md": _Keys().text(), **texts}
 
 
 # Keys
@@ -302,6 +311,63 @@ def _unit(function: Function) -> str:
     if function.result(TIME) == given:
         return "1" if given == NUMBER else f"`{given}`"
     return {LENGTH: "as given", LENGTH * TIME: "as given, times seconds"}.get(given, "the square root of the given unit")
+
+
+# Commands
+
+
+def _commands() -> str:
+    lines = [
+        "# Every command",
+        "",
+        _NOTE,
+        "",
+        "`deepbots COMMAND --help` prints the same. A SCENARIO is the path of a file, or the name of a [shipped scenario](../worlds.md)."
+        " A RUN is the folder of a training. All commands use the same [exit codes](../diagnostics.md#exit-codes).",
+    ]
+    for group, commands in GROUPS.items():
+        lines += ["", f"## {group}"]
+        for name in commands:
+            lines += _command(name)
+    return "\n".join(lines) + "\n"
+
+
+def _command(name: str) -> Iterator[str]:
+    command = Commands().get_command(None, name)
+    context = typer.Context(command)
+    arguments = [_argument(one) for one in command.params if one.param_type_name == "argument"]
+    yield from ("", f"### deepbots {name}", "")
+    for block in command.help.split("\n\n"):
+        if block.startswith("\b"):  # a block to show as it is
+            lines = [line.strip() if "deepbots " in line[:12] else line for line in cleandoc(block.removeprefix("\b")).splitlines()]
+            is_examples = all(line.startswith("deepbots ") for line in lines)
+            yield from ("```console" if is_examples else "```text", *(f"$ {line}" if is_examples else line for line in lines), "```", "")
+        else:
+            yield from (_with_options_marked(" ".join(block.split())), "")
+    yield f"`{' '.join(['deepbots', name, '[OPTIONS]', *arguments])}`"
+    panels: dict[str, list[str]] = {}
+    for parameter in command.params:
+        if parameter.hidden:
+            continue
+        names, meaning = parameter.get_help_record(context)
+        if parameter.param_type_name == "argument":
+            names, meaning = parameter.metavar or parameter.name.upper(), meaning.removesuffix("  [required]")
+        row = f"| `{_cell(names)}` | {_cell(_with_options_marked(meaning))} |"
+        panels.setdefault(parameter.rich_help_panel or "", []).append(row)
+    for panel, rows in sorted(panels.items(), key=lambda pair: pair[0] != ""):
+        yield from ("", f"| {panel.lower() or 'argument or option'} | meaning |", "|---|---|", *rows)
+
+
+def _with_options_marked(text: str) -> str:
+    """With options such as --set as code, which the help for a terminal leaves plain."""
+    parts = text.split("`")
+    parts[::2] = [re.sub(r"(?<![\w-])--?[a-z][a-z-]*\b", r"`\g<0>`", part) for part in parts[::2]]
+    return "`".join(parts)
+
+
+def _argument(parameter: Any) -> str:
+    name = parameter.metavar or parameter.name.upper()
+    return f"{name if parameter.required else f'[{name}]'}{'...' if parameter.nargs == -1 else ''}"
 
 
 # Rules

@@ -47,7 +47,7 @@ def _simulate(request: dict[str, Any], out: FileIO, seconds: float) -> None:
     """Each line grants further `seconds` of CPU time; after these SIGPROF ends the process."""
 
     def write(line: bytes) -> None:
-        if hasattr(signal, "setitimer"):
+        if sys.platform != "win32":
             signal.setitimer(signal.ITIMER_PROF, seconds)
         out.write(line)
 
@@ -68,10 +68,10 @@ def _simulate(request: dict[str, Any], out: FileIO, seconds: float) -> None:
 
 def _limit(limits: Limits) -> None:
     """Limit this process and all that it starts."""
-    try:
-        import resource
-    except ImportError:
+    if sys.platform == "win32":
         return
+    import resource
+
     for what, limit in ((resource.RLIMIT_CPU, limits.cpu), (resource.RLIMIT_AS, limits.memory * _MIB), (resource.RLIMIT_CORE, 0)):
         hard = resource.getrlimit(what)[1]
         resource.setrlimit(what, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))

@@ -56,8 +56,8 @@ A cart or a crate was pushed out of the ground at 0.01 to 0.04 m/s from 4 mm, at
 def beyond_engine(context: RuleContext) -> Iterator[Finding]:
     """DB316: the physics engine is not installed, or does not support a part of the world.
 
-    The rule applies if `world.engine` or `--engine` names the engine. PyBullet has builds up to Python 3.11; later versions of Python use
-    MuJoCo. MuJoCo uses the convex hull of a mesh, so a mesh cannot be the ground. MuJoCo does not accept an inertia
+    The rule applies if `world.engine` or `--engine` names the engine. PyBullet has no builds for Windows, and none beyond Python
+    3.11: MuJoCo is used there. MuJoCo uses the convex hull of a mesh, so a mesh cannot be the ground. MuJoCo does not accept an inertia
     that no rigid body can have. Some engines of other packages do not simulate `<mimic>`.
     """
     world, kind = context.program.world, ENGINES.get(context.program.engine or "")

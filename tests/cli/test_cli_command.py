@@ -209,6 +209,13 @@ def test_the_doctor_does_not_say_that_everything_works_where_an_extra_is_missing
     assert (ran.code, ran.err) == (0, f"{said}\n")
 
 
+def test_the_doctor_misses_nothing_that_is_for_other_systems(monkeypatch):
+    monkeypatch.setattr(installation, "requires", lambda _: ["lost; sys_platform != 'win32' and extra == 'sim'", "there; extra == 'sim'"])
+    assert installation._requirements()["sim"] == ["lost", "there"]
+    monkeypatch.setattr(sys, "platform", "win32")
+    assert installation._requirements()["sim"] == ["there"]
+
+
 @pytest.mark.parametrize("words", [["try", "cartpole"], ["train", "cartpole"], ["bench", "cartpole"], ["eval", "run"]])
 def test_a_seed_that_no_record_could_hold_is_refused_and_does_not_fill_the_help(deepbots, words):
     ran = deepbots(*words, "--seed", 10**20)

@@ -150,10 +150,11 @@ def test_a_slip_of_one_letter_is_explained_as_the_word_that_is_meant(deepbots, w
     assert ran.out == deepbots("explain", meant).out
 
 
-def test_a_word_that_is_known_is_not_said_to_be_unknown_because_of_json(deepbots):
-    ran = deepbots("explain", "points", "--json")
-    assert (ran.code, ran.out) == (2, "")
-    assert "leave it out" in ran.err
+def test_json_has_the_text_of_each_meaning_of_a_word(deepbots):
+    report = json.loads(deepbots("explain", "noise", "--json").out)
+    assert (report["version"], report["see_also"][:2]) == (1, ["exploration", "action_noise"])
+    assert [entry["title"] for entry in report["entries"]][:2] == ["noise: a concept", "noise: a key of `world.terrain` with `type: pit`"]
+    assert "Value: a number; default 0." in report["entries"][1]["text"]
 
 
 @pytest.mark.parametrize(

@@ -119,7 +119,7 @@ def test_a_command_in_the_docs_is_one(place: str, line: str):
         return
     verb, *arguments = words[1:]
     assert verb in COMMANDS
-    options = {option for parameter in Commands().get_command(None, verb).params for option in parameter.opts}
+    options = {option for parameter in Commands().get_command(None, verb).params for option in (*parameter.opts, *parameter.secondary_opts)}
     assert {word.partition("=")[0] for word in arguments if word.startswith("-")} <= options
 
 
@@ -153,7 +153,7 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("name", ["keys.md", "functions.md", "rules.md", "glossary.md"])
+@pytest.mark.parametrize("name", ["keys.md", "functions.md", "rules.md", "commands.md", "glossary.md"])
 def test_the_reference_is_current(name: str, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(sys, "path", [folder for folder in sys.path if Path(folder).name != "exact"])  # an engine of the tests
     written = (ROOT / "docs" / "reference" / name).read_text(encoding="utf-8")

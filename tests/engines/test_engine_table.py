@@ -77,6 +77,12 @@ except ScenarioError as error:
 """)
     asked, written = done.stdout.splitlines()
     assert asked.startswith("the engine 'pybullet' cannot be used: PyBullet ")
-    assert asked.endswith("or the engine `mujoco`")
+    assert asked.endswith("the engine `mujoco`")
     assert "DB316 the engine `pybullet` cannot be used here: PyBullet " in written
     assert not done.stderr
+
+
+def test_on_windows_nobody_is_told_to_install_pybullet(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(sys, "platform", "win32")
+    kind = ENGINES["pybullet"]
+    assert (kind.missing, kind.remedy) == ("PyBullet has no build for Windows", "use the engine `mujoco`")

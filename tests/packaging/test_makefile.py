@@ -1,9 +1,11 @@
-"""What `make` says on a machine that lacks what it needs."""
+"""What `make` says on a machine that lacks what it needs; the workflows that call it."""
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -47,3 +49,24 @@ def test_without_node_make_says_what_the_tests_of_editors_need(tmp_path: Path) -
     assert done.returncode == 2
     assert done.stderr.startswith("node and npm are needed")
     assert not (tmp_path / "build").exists()
+
+
+@pytest.mark.parametrize(
+    ("schema", "files"),
+    [
+        ("vendor.github-workflows", sorted((ROOT / ".github" / "workflows").glob("*.yml"))),
+        ("vendor.citation-file-format", [ROOT / "CITATION.cff"]),
+    ],
+    ids=["workflows", "citation"],
+)
+def test_files_for_services_fit_the_schema_of_the_service(schema: str, files: list[Path]) -> None:
+    command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", schema, *map(str, files)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+
+
+def test_workflows_call_targets_that_exist() -> None:
+    text = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / ".github" / "workflows").glob("*.yml"))
+    called = {target for line in re.findall(r"make ([a-z ]+)$", text, re.MULTILINE) for target in line.split()}
+    assert called <= set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    assert {"docs", "nightly", "package"} <= called

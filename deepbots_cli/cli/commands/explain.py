@@ -16,7 +16,7 @@ from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Findings, Rule, Source
 from deepbots_cli.diagnostics.nearest import is_typo, nearest_word
-from deepbots_cli.diagnostics.registry import matching_rules, unknown_rule_message
+from deepbots_cli.diagnostics.registry import RULES, matching_rules, unknown_rule_message
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
@@ -56,7 +56,7 @@ def command(
 
     Words of the scenario language are keys, functions, units, and kinds of sensors, actuators, objects and algorithms. The
     glossary has terms of reinforcement learning, such as episode, HER or time limit. Without a word, the command lists all
-    findings.
+    findings. --json prints the same as JSON.
 
     \b
       deepbots explain DB603
@@ -71,17 +71,19 @@ def command(
     finding = " ".join(words or ())
     found = matching_rules(finding)
     if not found:
-        lines = explain_word(finding)
-        if not lines and not _FINDING.match(finding) and (meant := misspelled_word(finding)):
+        explained = explain_word(finding)
+        if not explained.entries and not _FINDING.match(finding) and (meant := misspelled_word(finding)):
             terminal.note(f"there is no entry '{finding}'; this is the entry '{meant}'\n")
-            lines = explain_word(meant)
-        if not lines:
+            explained = explain_word(meant)
+        if not explained.entries:
             raise UsageError(unknown_rule_message(finding) if _FINDING.match(finding) else unknown_word_message(finding))
         if as_json:
-            raise UsageError(f"--json prints findings, and '{finding}' is not a finding; leave it out")
-        terminal.print_result("\n".join(map(_wrapped, lines)))
+            entries = [{"title": title, "text": "\n".join(text)} for title, *text in explained.entries]
+            terminal.show_json({"version": 1, "entries": entries, "see_also": explained.others})
+        else:
+            terminal.print_result("\n".join(map(_wrapped, explained.lines())))
     elif as_json:
-        terminal.show_json({"version": 1, "rules": [_data(entry) for entry in found]})
+        terminal.show_json(rules_data(found))
     elif len(found) > 1:
         terminal.print_result(table([_row(entry) for entry in found], indent=""))
     else:
@@ -94,6 +96,11 @@ def _row(entry: Rule) -> Row:
 
 def _severity(rule: Rule) -> str:
     return f"{rule.severity}, in preview" if rule.preview else rule.severity
+
+
+def rules_data(rules: Iterable[Rule] = tuple(RULES.values())) -> dict[str, object]:
+    """The registry of findings with the text, example and remedy of each page, as `deepbots explain --json` prints it."""
+    return {"version": 1, "rules": [_data(entry) for entry in rules]}
 
 
 def _data(entry: Rule) -> Row:
@@ -179,11 +186,22 @@ def _topic(name: str, entry: dict[str, str]) -> Topic:
     return Topic(name, names, entry["about"].strip(), entry.get("example", "").strip(), entry["read"])
 
 
-def explain_word(word: str) -> list[str]:
-    """Paragraphs and examples about `word`; empty if nothing has this name.
+class Explained(NamedTuple):
+    """What is known about a word: a title and paragraphs for each meaning, and other entries that contain the word."""
+
+    entries: list[list[str]]
+    others: list[str]
+
+    def lines(self) -> list[str]:
+        blocks = [*self.entries, *([[f"See also: {', '.join(_quoted(self.others))}"]] if self.others else [])]
+        return [line for number, block in enumerate(blocks) for line in ([""] if number else []) + block]
+
+
+def explain_word(word: str) -> Explained:
+    """The entries about `word`; none if nothing has this name.
 
     A concept of this name comes first, then functions, units, kinds and keys. Other names of a concept count only if the language has no
-    word of exactly this spelling. The last line lists other entries that contain the word.
+    word of exactly this spelling.
     """
     plain = _plain(word)
     spelled = word if word in _words() else next((other for other in _words() if _plain(other) == plain), word)
@@ -192,10 +210,7 @@ def explain_word(word: str) -> list[str]:
     if not found and word not in _words():
         found = [topic for topic in topics() if plain in map(_plain, topic.names)]
     blocks = [*map(_of_topic, found), *blocks]
-    others = _others(word, {topic.name for topic in found} | {spelled}) if word.strip() else []
-    if blocks and others:
-        blocks.append([f"See also: {', '.join(others)}"])
-    return [line for number, block in enumerate(blocks) for line in ([""] if number else []) + block]
+    return Explained(blocks, _others(word, {topic.name for topic in found} | {spelled}) if blocks and word.strip() else [])
 
 
 def misspelled_word(word: str) -> str | None:
@@ -242,12 +257,16 @@ def _plain(text: str) -> str:
 
 
 def _others(word: str, shown: Iterable[str]) -> list[str]:
-    """Concepts and words that have all words of `word` in one of their names, the concepts in quotes where they need them."""
+    """Concepts and words that have all words of `word` in one of their names."""
     wanted = set(_plain(word).split())
     concepts = [topic.name for topic in topics() if any(wanted <= set(_plain(name).split()) for name in (topic.name, *topic.names))]
     names = [name for name in _words() if wanted <= set(_plain(name).split())]
-    others = [name for name in dict.fromkeys([*concepts, *names]) if name not in shown]
-    return [f'"{name}"' if " " in name else name for name in others[:_MAX_SHOWN]]
+    return [name for name in dict.fromkeys([*concepts, *names]) if name not in shown][:_MAX_SHOWN]
+
+
+def _quoted(names: Iterable[str]) -> list[str]:
+    """With quotes around names of several words."""
+    return [f'"{name}"' if " " in name else name for name in names]
 
 
 @cache
@@ -266,7 +285,7 @@ def unknown_word_message(word: str) -> str:
     hint = f"; did you mean {near}?" if near else "; `deepbots explain` lists all findings"
     others = _others(word, ())
     if others:
-        hint = f"; see {', '.join(others)}"
+        hint = f"; see {', '.join(_quoted(others))}"
     return f"there is no finding, key, kind, function, unit or concept '{word}'{hint}"
 
 

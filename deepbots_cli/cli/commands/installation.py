@@ -124,13 +124,15 @@ def _requirements() -> dict[str, list[str]]:
     for requirement in requires("deepbots-cli") or ():
         extra = re.search(r"extra == .([\w-]+)", requirement)
         name = re.match(r"[\w.-]+", requirement)
-        if name and _is_for_this_python(requirement) and (extra is None or extra[1] in _EXTRAS):
+        if name and _is_for_this_machine(requirement) and (extra is None or extra[1] in _EXTRAS):
             found[extra[1] if extra else ""].append(name[0])
     return found
 
 
-def _is_for_this_python(requirement: str) -> bool:
-    """Whether the upper bound of Python's version lies above this one, as in `pybullet>=3.2.6; python_version < '3.12'`."""
+def _is_for_this_machine(requirement: str) -> bool:
+    """Whether markers admit this Python and system, as in `pybullet>=3.2.6; python_version < '3.12' and sys_platform != 'win32'`."""
+    if re.search(rf"sys_platform != .{sys.platform}\b", requirement):
+        return False
     below = re.search(r"python_version < .(\d+)\.(\d+)", requirement)
     return below is None or sys.version_info[:2] < (int(below[1]), int(below[2]))
 

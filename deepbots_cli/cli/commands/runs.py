@@ -54,7 +54,7 @@ def command(
       deepbots runs --live
       deepbots runs --scenario cartpole --solved --sort cpu
       deepbots runs runs/cartpole-seeds-1
-      deepbots runs /data/runs --json
+      deepbots runs experiments/runs --json
 
     Next: `deepbots eval RUN` evaluates a run or a group, and `deepbots compare RUN RUN` compares them.
     """

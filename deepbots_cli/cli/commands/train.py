@@ -398,7 +398,7 @@ def _await_page(page: subprocess.Popen[str]) -> None:
     """Show the address of a page once it serves it, and lower its priority."""
     assert page.stdout is not None
     print(page.stdout.readline(), end="", file=sys.stderr, flush=True)
-    if hasattr(os, "setpriority"):
+    if sys.platform != "win32":
         threads = Path(f"/proc/{page.pid}/task")  # in Linux, the priority of a process is that of its first thread
         with suppress(OSError):  # it has ended
             for thread in [int(each.name) for each in threads.iterdir()] if threads.is_dir() else [page.pid]:

@@ -1,0 +1,350 @@
+"""The pages of the gallery: one for each shipped scenario that extends no other, with its variants as sections.
+
+A page begins with the text of docs/scenarios, if there is one. Spaces, rewards and endings are read from the compiled scenarios, results
+from docs/results/*.json. Nothing is simulated or trained here. Paths are relative to the root of the repository.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cache
+from itertools import groupby
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from deepbots_cli.cli.inspection import Tables, scenario_tables
+from deepbots_cli.cli.sources import open_source
+from deepbots_cli.document import Permissions
+from deepbots_cli.learning.statistics import wilson
+from deepbots_cli.program import Program
+from tests.results.experiment import Training, experiments
+
+ROOT = Path(__file__).resolve().parents[1]
+NOTES = "docs/scenarios"
+INDEX = "docs/worlds.md"
+_CARDS = re.compile(r"<!-- cards -->.*<!-- end of cards -->", re.DOTALL)
+_EXTENDS = re.compile(r"^extends: (\w+)", re.MULTILINE)
+_DIGITS = 4
+
+
+class World(NamedTuple):
+    """A shipped scenario: its name, what it compiles to, and the tables of `deepbots inspect`."""
+
+    name: str
+    program: Program
+    tables: Tables
+
+    def row(self, table: str) -> Mapping[str, Any]:
+        found = self.tables.get(table, {})
+        assert isinstance(found, Mapping)
+        return found
+
+    def rows(self, table: str) -> Sequence[Mapping[str, Any]]:
+        found = self.tables.get(table, [])
+        assert isinstance(found, list)
+        return found
+
+    @property
+    def title(self) -> str:
+        return str(self.row("scenario")["name"])
+
+    @property
+    def summary(self) -> str:
+        return str(self.row("scenario")["summary"])
+
+    @property
+    def algorithm(self) -> str:
+        return str(self.row("training").get("algorithm", "none"))
+
+    @property
+    def models(self) -> list[str]:
+        """The robots as their files call them."""
+        return list(dict.fromkeys(str(row["model"]) for row in self.rows("robots")))
+
+    @property
+    def sensors(self) -> list[str]:
+        return list(dict.fromkeys(str(row["type"]).replace("_", " ") for row in self.rows("sensors")))
+
+
+@cache
+def families() -> dict[str, tuple[str, ...]]:
+    """The scenarios that extend no other one, and the variants of each."""
+    parents = {}
+    for path in sorted((ROOT / "scenarios").glob("*.yaml")):
+        found = _EXTENDS.search(path.read_text(encoding="utf-8"))
+        parents[path.stem] = found[1] if found else None
+    return {name: tuple(other for other, above in parents.items() if above == name) for name, parent in parents.items() if parent is None}
+
+
+@cache
+def world(name: str) -> World:
+    opened = open_source(name, (), Permissions())
+    assert opened.root is not None
+    return World(name, opened.program, scenario_tables(opened.program, opened.root, None, opened.learner))
+
+
+def merged() -> dict[str, str]:
+    """Pages about variants, which are sections of the page of another scenario."""
+    return {f"{NOTES}/{variant}.md": f"{NOTES}/{base}.md" for base, variants in families().items() for variant in variants}
+
+
+def listed() -> list[tuple[str, str, str]]:
+    """Path, title and summary of each page."""
+    return [(f"{NOTES}/{name}.md", world(name).title, world(name).summary) for name in families()]
+
+
+def pages() -> dict[str, str]:
+    """The text of each page of the gallery by its path, and that of the index with a card for each page."""
+    index = (ROOT / INDEX).read_text(encoding="utf-8")
+    assert _CARDS.search(index), f"{INDEX}: no place for the cards"
+    found = {INDEX: _CARDS.sub(lambda _: "\n".join(_cards()), index)}
+    return found | {f"{NOTES}/{base}.md": "\n".join(_page(base, variants)) for base, variants in families().items()}
+
+
+def picture_of(name: str) -> str | None:
+    """The moving picture of a scenario, or one that stands still."""
+    return next((f"docs/images/{name}.{end}" for end in ("gif", "png") if (ROOT / f"docs/images/{name}.{end}").is_file()), None)
+
+
+# Index
+
+
+def _cards() -> Iterator[str]:
+    """Each card has a class for each value of a filter; theme/gallery.js makes the filters of them."""
+    yield "````{container} cards"
+    for base, variants in families().items():
+        here = world(base)
+        family = [here, *map(world, variants)]
+        classes = [f"robot--{model}" for one in family for model in one.models]
+        classes += [f"sensor--{sensor.replace(' ', '_')}" for one in family for sensor in one.sensors]
+        classes += [f"algorithm--{one.algorithm}" for one in family]
+        yield from (f"```{{container}} card {' '.join(dict.fromkeys(classes))}", "")
+        picture = picture_of(base)
+        if picture:
+            yield from (f"[![{here.title}](images/{Path(picture).name})](scenarios/{base}.md)", "")
+        yield f"[**{here.title}**](scenarios/{base}.md) {here.summary}"
+        if variants:
+            yield from ("", f"Variants: {', '.join(f'`{variant}`' for variant in variants)}")
+        yield from ("```", "")
+    yield "````"
+
+
+# Pages
+
+
+def _page(base: str, variants: tuple[str, ...]) -> Iterator[str]:
+    here = world(base)
+    lead, heading, notes = "\n".join(_notes(base)).partition("\n## ")
+    yield from (lead.rstrip(), "", "## Spaces and rewards", "", *_facts(here), *_spaces(here), *_task(here))
+    yield from _results(base)
+    yield f"{heading}{notes}"
+    yield from ("", "## The file", "", *_file(base))
+    for variant in variants:
+        other = world(variant)
+        yield from ("", f"## {other.title}", "", *_variant_notes(variant), "", *_differences(here, other), "", *_file(variant))
+        yield from _results(variant, heading=False)
+
+
+def _notes(name: str) -> Iterator[str]:
+    """The written part of a page, with the moving picture of the scenario if there is one."""
+    path, picture = ROOT / NOTES / f"{name}.md", picture_of(name)
+    image = f"![{world(name).summary}](../images/{Path(picture).name})" if picture else ""
+    if path.is_file():
+        title, _, text = path.read_text(encoding="utf-8").rstrip().partition("\n\n")
+        first, _, rest = text.partition("\n\n")
+        moving = picture and picture.endswith(".gif") and first.startswith("![") and ".gif" not in first
+        yield from (title, "", f"{image}\n\n{rest}" if moving else text)
+    else:
+        yield from (f"# {world(name).title}", "", image, "", world(name).summary)
+
+
+def _variant_notes(name: str) -> Iterator[str]:
+    """The written part of a variant, one level deeper and without its title."""
+    path = ROOT / NOTES / f"{name}.md"
+    yield world(name).summary
+    if path.is_file():
+        _, _, text = path.read_text(encoding="utf-8").rstrip().partition("\n\n")
+        yield from ("", re.sub(r"^## ", "### ", text, flags=re.MULTILINE))
+
+
+def _facts(here: World) -> Iterator[str]:
+    scenario = here.row("scenario")
+    repeat = here.program.action_repeat
+    often = f"; an action is held for {repeat} timesteps" if repeat > 1 else ""
+    engine = f", engine `{here.program.engine}`" if here.program.engine else ""
+    chosen = [f"{row['hyperparameter']} {_value(row['value'])}" for row in here.rows("hyperparameters") if row["from"] == "scenario"]
+    limits = [
+        f"{scenario['max_steps']:,} steps" if scenario["max_steps"] else "",
+        f"{scenario['max_time_s']:g} s" if scenario["max_time_s"] else "",
+    ]
+    rows = [
+        ("robots", ", ".join(f"{row['robot']} ({row['model']}, {_number(row['mass_kg'])} kg)" for row in _distinct_robots(here))),
+        ("sensors", ", ".join(here.sensors) or "none"),
+        ("timestep", f"{_number(1000 * scenario['timestep_s'])} ms, {scenario['substeps']} physics steps{engine}{often}"),
+        ("time limit", " or ".join(filter(None, limits)) or "none"),
+        ("action space", f"`{scenario['action_space']}`"),
+        ("observation space", f"`{scenario['observation_space']}`"),
+        ("solved", scenario["solved"] or "no criterion"),
+        ("algorithm", f"{here.algorithm}, {here.row('training').get('total_timesteps', 0):,} steps; {', '.join(chosen)}"),
+        ("watch, train", f"`deepbots view {here.name}`, `deepbots train {here.name}`"),
+    ]
+    yield from _table(("", ""), rows)
+
+
+def _distinct_robots(here: World) -> list[Mapping[str, Any]]:
+    """One of each set of copies, which are named `cart#0`, `cart#1`."""
+    named = [{**row, "robot": str(row["robot"]).partition("#")[0]} for row in here.rows("robots")]
+    return list({row["robot"]: row for row in named}.values())
+
+
+def _spaces(here: World) -> Iterator[str]:
+    actions = [(f"`{row['action']}`", row["kind"], _options(row), f"`{row.get('unit', '1')}`") for row in here.rows("action")]
+    yield from ("", *_table(("action", "kind", "values", "unit"), actions))
+    rows = []
+    for row in _grouped(here.rows("observation")):
+        index = "image" if row["index"] is None else str(row["index"])
+        span = "" if row.get("low") is None else f"{_number(row['low'])} .. {_number(row['high'])}"
+        age = f", {row['steps_ago']} step{'s' * (row['steps_ago'] > 1)} ago" if row.get("steps_ago") else ""
+        rows.append((index, f"`{row['name']}`{age}", span, f"`{row.get('unit', '1')}`", str(row.get("seen_as", ""))))
+    if rows:
+        yield from ("", *_table(("index", "observation", "range", "unit", "seen as"), rows))
+    if "goal" in here.tables:
+        yield from ("", *_table(("goal", "value"), [(key, f"`{text}`") for key, text in here.row("goal").items()]))
+
+
+def _options(row: Mapping[str, Any]) -> str:
+    if row["kind"] == "range":
+        parts = f" each of {', '.join(row['of'])}" if row["of"] else ""
+        return f"{_number(row['low'])} .. {_number(row['high'])}{parts}"
+    return _cell(str(row["options"]).replace(" | ", ", "))
+
+
+def _grouped(rows: Sequence[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
+    """Consecutive entries of one vector or history with the same range as one row."""
+
+    def vector(row: Mapping[str, Any]) -> tuple[object, ...]:
+        name = re.sub(r"\d+|\.[xyzw]\b", "", str(row["name"]))
+        if name.count(".") > 1 or name.startswith("previous_action."):  # a component of a reading, or of an action
+            name = name.rpartition(".")[0]
+        return (name, *(row.get(key) for key in ("steps_ago", "low", "high", "unit", "seen_as")))
+
+    for _, group in groupby(rows, vector):
+        first, *others = group
+        last = others[-1] if others else first
+        yield first if not others else {**first, **{key: f"{first[key]} .. {last[key]}" for key in ("index", "name")}}
+
+
+def _value(value: object) -> str:
+    """A hyperparameter as the language writes it."""
+    if isinstance(value, list):
+        return " ".join(map(str, value))
+    return f"`{value}`" if isinstance(value, str) else f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def _task(here: World) -> Iterator[str]:
+    rows = [(f"`{row['term']}`", f"`{_cell(str(row['is']))}`") for row in here.rows("reward")]
+    yield from ("", *_table(("reward term", "value per step"), rows))
+    rows = [(f"`{row['ending']}`", str(row["outcome"]), f"`{_cell(str(row['when']))}`") for row in here.rows("endings")]
+    yield from ("", *_table(("ending", "outcome", "condition"), rows)) if rows else ()
+
+
+_COMPARED = {
+    "timestep": lambda one: f"{_number(1000 * one.row('scenario')['timestep_s'])} ms",
+    "action space": lambda one: one.row("scenario")["action_space"],
+    "observation space": lambda one: one.row("scenario")["observation_space"],
+    "reward terms": lambda one: ", ".join(str(row["term"]) for row in one.rows("reward")),
+    "endings": lambda one: ", ".join(str(row["ending"]) for row in one.rows("endings")),
+    "messages": lambda one: one.row("scenario")["messages"],
+    "solved": lambda one: one.row("scenario")["solved"] or "no criterion",
+    "algorithm": lambda one: one.algorithm,
+}
+
+
+def _differences(base: World, other: World) -> Iterator[str]:
+    values = [(name, str(value(base)), str(value(other))) for name, value in _COMPARED.items()]
+    rows = [row for row in values if row[1] != row[2]]
+    if rows:
+        yield from _table(("", base.title, other.title), rows)
+
+
+def _file(name: str) -> Iterator[str]:
+    text = (ROOT / "scenarios" / f"{name}.yaml").read_text(encoding="utf-8").rstrip()
+    yield from (
+        f"`deepbots new mine --from {name}` writes a copy of [{name}.yaml](../../scenarios/{name}.yaml).",
+        "",
+        f"```yaml\n{text}\n```",
+    )
+
+
+# Results
+
+
+def _results(name: str, *, heading: bool = True) -> Iterator[str]:
+    """Trainings over seeds and baselines, as docs/results.md has them."""
+    experiment, path = experiments().get(name), ROOT / "docs" / "results" / f"{name}.json"
+    if experiment is None or not path.is_file():
+        yield from ("", "## Results", "", "There are no measured results for this scenario.") if heading else ()
+        return
+    record = json.loads(path.read_text(encoding="utf-8"))
+    rows, commands = [], []
+    for training in experiment.trainings:
+        for row in _trained(record, training):
+            rows.append(row)
+        entries = _entries(record, training)
+        commands += [re.sub(r"--seed \d+", "--seed N", str(entry["command"])) for entry in entries[:1]]
+    for baseline in experiment.baselines:
+        entry = record.get("baselines", {}).get(baseline.name)
+        if entry:
+            rows.append((baseline.words or baseline.name, "", "", *_measured(entry)))
+            commands.append(str(entry["command"]))
+    yield from ("", "## Results" if heading else "### Results", "")
+    if (ROOT / f"docs/images/results/{name}.svg").is_file():
+        yield from (f"![Learning curves of {experiment.title}](../images/results/{name}.svg)", "")
+    shown = 6 if any(row[5] for row in rows) else 5
+    yield from _table(("policy", "steps", "CPU", "episodes", "mean return", "successes")[:shown], [row[:shown] for row in rows])
+    anchor = re.sub(r"[^\w\- ]", "", experiment.title.lower()).replace(" ", "-")
+    yield from ("", f"Intervals are of 95 %. [Results](../results.md#{anchor}) has every seed, evaluation and target.", "")
+    yield from ("```console", *(f"$ {command}" for command in dict.fromkeys(commands)), "```")
+
+
+def _entries(record: Mapping[str, Any], training: Training) -> list[Mapping[str, Any]]:
+    measured = record.get("trainings", {}).get(training.name, {})
+    return [measured[str(seed)] for seed in training.seeds if str(seed) in measured]
+
+
+def _trained(record: Mapping[str, Any], training: Training) -> Iterator[tuple[str, ...]]:
+    """A row for each seed that was measured."""
+    measured = record.get("trainings", {}).get(training.name, {})
+    label = "" if training.name == "main" else f", {training.words or training.name.replace('_', ' ')}"
+    for seed in training.seeds:
+        entry = measured.get(str(seed))
+        held = entry and next(iter(entry["evaluations"].values()), None)
+        if held:
+            yield (f"trained, seed {seed}{label}", f"{entry['steps']:,}", f"{entry['cpu_seconds']:.0f} s", *_measured(held))
+
+
+def _measured(entry: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Episodes, mean return and share of successes, each with its interval."""
+    low, high = entry["return_interval"]
+    shown = f"{_number(entry['mean_return'])} ({_number(low)} .. {_number(high)})"
+    if not entry["success_defined"]:
+        return f"{entry['episodes']:,}", shown, ""
+    low, high = wilson(entry["successes"], entry["episodes"])
+    return f"{entry['episodes']:,}", shown, f"{100 * entry['success_rate']:.4g} % ({100 * low:.3g} .. {100 * high:.3g} %)"
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
+    yield f"| {' | '.join(head)} |"
+    yield "|" + "---|" * len(head)
+    for row in rows:
+        yield f"| {' | '.join(row)} |"
+
+
+def _number(value: float) -> str:
+    return f"{value:.{_DIGITS}g}" if abs(value) < 1e5 else f"{value:,.0f}"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")

@@ -1,0 +1,108 @@
+"""The loop of docs/agents.md runs, prints what the page shows, and fits the schema of outputs."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from deepbots_cli.cli import main
+
+PAGE = Path(__file__).parents[2] / "docs" / "agents.md"
+
+
+def _schema(verb: str) -> dict[str, Any]:
+    """The documented output of a command."""
+    schema = json.loads((PAGE.parents[1] / "schemas" / "deepbots-output-1.schema.json").read_text(encoding="utf-8"))
+    jsonschema.Draft202012Validator.check_schema(schema)
+    return {**schema, "$ref": f"#/$defs/{verb}"}
+
+
+def steps() -> list[tuple[list[str], Any]]:
+    """Each block of commands, and what the last of them prints."""
+    found = re.findall(r"```console\n(.*?)```\n\n```json\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    return [([line.removeprefix("$ ") for line in commands.splitlines()], json.loads(shown)) for commands, shown in found]
+
+
+def lacking(shown: Any, printed: Any, place: str = "") -> list[str]:
+    """What is shown and was not printed: keys in any order, and the first items of a list."""
+    if isinstance(shown, dict) and isinstance(printed, dict):
+        return [text for key, value in shown.items() for text in lacking(value, printed.get(key), f"{place}.{key}")]
+    if isinstance(shown, list) and isinstance(printed, list):
+        pairs = zip(shown, [*printed, *[None] * len(shown)], strict=False)
+        return [text for number, (one, other) in enumerate(pairs) for text in lacking(one, other, f"{place}[{number}]")]
+    return [] if shown == printed else [f"{place}: {shown!r} is shown, {printed!r} was printed"]
+
+
+def test_the_loop_for_agents_prints_what_the_page_shows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    wrong = []
+    for commands, shown in steps():
+        for command in commands:
+            main(shlex.split(command)[1:])
+            printed = json.loads(capsys.readouterr().out)
+            verb = shlex.split(command)[1]
+            wrong += [f"{command}: {error.message}" for error in jsonschema.Draft202012Validator(_schema(verb)).iter_errors(printed)]
+        wrong += lacking(shown, printed, commands[-1])
+        if commands[0].startswith("deepbots new"):
+            scenario = Path("mine.yaml")
+            scenario.write_text(
+                scenario.read_text(encoding="utf-8").replace("abs(cart.pole_angle)", "abs(cart.pole_angel)"), encoding="utf-8"
+            )
+    assert wrong == []
+    assert len(steps()) == 7
+    assert not jsonschema.Draft202012Validator(_schema("train")).is_valid(printed)
+
+
+FAULTS = {
+    "timestep: 32 ms": "timestap: 32",
+    "wheel_speed: 5 rad/s": "wheel_speed: 5 radd/s",
+    "joint: pole_hinge": "joint: pole_hing",
+    "type: velocity_motor": "type: velocity_moter",
+    "max_torque: 10 N*m": "max_torque: 10",
+    "drive * wheel_speed": "drive * wheel_sped",
+    "position(cart).x": "positon(cart).x",
+    "velocity(cart.tip)": "velocity(cart.tipp)",
+    "reward:": "rewards:",
+    "abs(cart.pole_angle)": "abs(cart.pole_angel)",
+    "uniform(-1": "unifrom(-1",
+    "algorithm: PPO": "algorithm: PPPO",
+}
+
+
+def test_a_script_that_knows_no_word_of_the_language_repairs_twelve_faults_by_the_edits_of_lint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    main(["new", "mine", "--template", "cartpole", "--json"])
+    capsys.readouterr()
+    scenario = Path("mine.yaml")
+    whole = text = scenario.read_text(encoding="utf-8")
+    for right, wrong in FAULTS.items():
+        assert right in whole
+        text = text.replace(right, wrong, 1)
+    for _ in range(len(FAULTS)):
+        scenario.write_text(text, encoding="utf-8")
+        main(["lint", "mine.yaml", "--json"])
+        edits = [edit for finding in json.loads(capsys.readouterr().out)["findings"] for edit in (finding["fix"] or {"edits": []})["edits"]]
+        if not edits:
+            break
+        text = edited(text, edits)
+    assert text == whole
+
+
+def edited(text: str, edits: list[dict[str, Any]]) -> str:
+    """The text after edits, the last ones first, so that places stay."""
+    lines = text.splitlines(keepends=True)
+    for edit in sorted(edits, key=lambda edit: (edit["start"]["line"], edit["start"]["column"]), reverse=True):
+        assert edit["start"]["line"] == edit["end"]["line"]
+        row = edit["start"]["line"] - 1
+        lines[row] = lines[row][: edit["start"]["column"] - 1] + edit["text"] + lines[row][edit["end"]["column"] - 1 :]
+    return "".join(lines)

@@ -1,0 +1,177 @@
+"""The site: every page is two clicks from the first one, its links lead somewhere, and Sphinx builds it without a warning."""
+
+from __future__ import annotations
+
+import json
+import posixpath
+import re
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from urllib.parse import unquote
+
+import pytest
+
+from deepbots_cli.diagnostics.registry import RULES
+
+DOCS = Path(__file__).parents[2] / "docs"
+SCENARIOS = sorted(path.stem for path in (DOCS.parent / "scenarios").glob("*.yaml"))
+
+
+@pytest.fixture(scope="module")
+def site() -> Iterator[ModuleType]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(DOCS))
+        yield import_module("build_site")
+
+
+@pytest.fixture(scope="module")
+def sources(site: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder: Path = tmp_path_factory.mktemp("sources")
+    site.write_sources(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def pages(sources: Path) -> dict[str, str]:
+    """The text of each page without its code, by its place in the site."""
+    texts = {path.relative_to(sources).as_posix(): path.read_text(encoding="utf-8") for path in sources.rglob("*.md")}
+    return {place: re.sub(r"^```\w.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL) for place, text in texts.items()}
+
+
+def targets(place: str, text: str) -> list[tuple[str, str]]:
+    """Where the links and pictures of a page lead: a place in the site, and an anchor."""
+    found = re.findall(r"\]\(([^)\s]+)\)|<img src=\"([^\"]+)\"", text)
+    links = [(link or image).partition("#") for link, image in found if "://" not in link]
+    return [(posixpath.normpath(posixpath.join(posixpath.dirname(place), path)) if path else place, anchor) for path, _, anchor in links]
+
+
+def anchors(text: str) -> set[str]:
+    headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", re.sub(r"\]\([^)]*\)", "", heading).lower()).replace(" ", "-") for heading in headings}
+
+
+def test_every_link_of_the_site_leads_somewhere(sources: Path, pages: dict[str, str]) -> None:
+    links = [(place, *target) for place, text in pages.items() for target in targets(place, text)]
+    assert [(place, target) for place, target, _ in links if not (sources / target).is_file()] == []
+    assert [link for link in links if link[2] and link[2] not in anchors(pages[link[1]])] == []
+
+
+def test_every_page_is_within_two_clicks_of_the_first(site: ModuleType, pages: dict[str, str]) -> None:
+    beside = {entry.place for entries in site.groups().values() for entry in entries}
+    first = beside | {target for target, _ in targets("index.md", pages["index.md"])}
+    second = {target for place in first & set(pages) for target, _ in targets(place, pages[place])}
+    assert sorted(set(pages) - first - second - {"index.md"}) == []
+    assert beside <= set(pages)
+
+
+def test_every_page_on_disk_is_in_the_list_and_the_navigation(site: ModuleType) -> None:
+    listed = {entry.place for entries in site.groups().values() for entry in entries}
+    paths = [*DOCS.parent.glob("*.md"), *DOCS.rglob("*.md")]
+    on_disk = {path.relative_to(DOCS.parent).as_posix() for path in paths} - {"README.md", "docs/README.md"}
+    assert sorted({site.place_of(path) for path in on_disk} - listed) == []
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_every_scenario_is_in_the_gallery_with_its_file(name: str, pages: dict[str, str], sources: Path) -> None:
+    texts = [path.read_text(encoding="utf-8") for path in (sources / "scenarios").glob("*.md")]
+    whole = (DOCS.parent / "scenarios" / f"{name}.yaml").read_text(encoding="utf-8").rstrip()
+    assert sum(whole in text for text in texts) == 1
+    assert f"`{name}`" in pages["worlds.md"] or f"(scenarios/{name}.md)" in pages["worlds.md"]
+
+
+def test_a_page_of_the_gallery_shows_names_ranges_and_units(pages: dict[str, str]) -> None:
+    page = pages["scenarios/cartpole.md"]
+    assert "| 0 | `x` | -0.4 .. 0.4 | `m` | -1 .. 1 |" in page
+    assert "| `drive` | choice | forward (drive = 1), backward (drive = -1) | `1` |" in page
+    assert "| `fallen` | failure | `abs(cart.pole_angle) > fall_angle` |" in page
+    assert re.search(r"\| trained, seed 201 \| 25,400 \| 26 s \| 100 \| 200 \(200 \.\. 200\) \|", page)
+    assert re.search(r"\| random \|  \|  \| 100 \| 33\.38 \(31\.5 \.\. 35\.26\) \|", page)
+
+
+def test_every_page_of_the_gallery_has_a_picture(site: ModuleType) -> None:
+    gallery = import_module("build_gallery")
+    assert [name for name in gallery.families() if gallery.picture_of(name) is None] == []
+
+
+def test_every_picture_that_is_drawn_by_code_is_current_and_on_a_page(site: ModuleType, pages: dict[str, str]) -> None:
+    drawn: dict[str, str] = import_module("build_figures").figures()
+    assert [name for name, text in drawn.items() if (DOCS / "images" / name).read_text(encoding="utf-8") != text] == []
+    assert [name for name in drawn if not any(f"images/{name})" in page for page in pages.values())] == []
+
+
+def test_machines_find_pages_findings_and_the_schema(site: ModuleType, sources: Path, tmp_path: Path) -> None:
+    site.write_for_machines(sources, tmp_path)
+    links = re.findall(r"^- \[.+\]\((.+?)\): .+", (tmp_path / "llms.txt").read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(links) > 40
+    assert [link for link in links if not (tmp_path / link).is_file()] == []
+    assert [rule["code"] for rule in json.loads((tmp_path / "rules.json").read_text(encoding="utf-8"))["rules"]] == list(RULES)
+    assert (tmp_path / "schemas" / "deepbots-1.schema.json").is_file()
+
+
+def test_a_key_in_an_example_shows_its_description_and_a_name_shows_none(site: ModuleType) -> None:
+    spans = [
+        '<span class="nt">world</span>',
+        '<span class="nt">substeps</span>',
+        '<span class="nt">robots</span>',
+        '<span class="nt">cart</span>',
+    ]
+    block = f"{spans[0]}: {{{spans[1]}: 4}}\n{spans[2]}:\n  {spans[3]}: {{}}\n"
+    page = '<div class="highlight-{}"><div class="highlight"><pre><span></span>{}</pre></div></div>'
+    shown = import_module("hover").with_hover_texts(page.format("yaml notranslate", block))
+    titles = re.findall(r'<span class="nt"(?: title="([^"]*)")?>(\w+)</span>', shown)
+    assert [(bool(title), name) for title, name in titles] == [(True, "world"), (True, "substeps"), (True, "robots"), (False, "cart")]
+    assert titles[1][0].startswith("Number of physics steps")
+    assert re.sub(r' title="[^"]*"', "", shown) == page.format("yaml notranslate", block)
+    assert "title" not in import_module("hover").with_hover_texts(page.format("python notranslate", block))
+
+
+class Page(HTMLParser):
+    """The links and the anchors of a page."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.anchors = {""}
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        for name, value in attrs:
+            if name == "id" and value:
+                self.anchors.add(value)
+            elif name in ("href", "src") and value and not re.match(r"[a-z]+:|#$", value):
+                self.links.append(unquote(value))
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning_and_its_links_lead_somewhere(site: ModuleType, tmp_path: Path) -> None:
+    for name in ("sphinx", "myst_parser", "furo"):
+        pytest.importorskip(name)
+    assert site.build(tmp_path / "sources", tmp_path / "site") == 0
+    built = {
+        path.relative_to(tmp_path / "site").as_posix(): Page(path.read_text(encoding="utf-8"))
+        for path in (tmp_path / "site").rglob("*.html")
+    }
+    broken = []
+    for place, page in built.items():
+        for link in page.links:
+            path, _, anchor = link.partition("#")
+            target = posixpath.normpath(posixpath.join(posixpath.dirname(place), path.partition("?")[0])) if path else place
+            there = (tmp_path / "site" / target).is_file() and (target not in built or anchor in built[target].anchors)
+            broken += [] if there else [(place, link)]
+    assert broken == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", ["[lost](nowhere.md)", "[lost](index.md#nowhere)", "![lost](images/nowhere.png)"])
+def test_a_broken_link_stops_the_build_with_its_file_and_line(
+    wrong: str, site: ModuleType, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("sphinx", "myst_parser", "furo"):
+        pytest.importorskip(name)
+    (tmp_path / "sources").mkdir()
+    (tmp_path / "sources" / "index.md").write_text(f"# Title\n\n{wrong}\n", encoding="utf-8")
+    assert site.write_html(tmp_path / "sources", tmp_path / "site") != 0
+    assert "index.md:3: WARNING" in capfd.readouterr().err
