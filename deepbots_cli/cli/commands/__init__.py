@@ -40,7 +40,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "render": ("render.command", "Make a picture, a video or GIF, an offline page or a recording."),
         "report": ("report.command", "Write a report about a run: one HTML file to send."),
         "export": ("export.command", "Export the policy of a run for a robot."),
-        "serve": ("serve.command", "Act for a robot by the policy of a bundle, or simulate the robot."),
+        "serve": ("serve.command", "Act for a robot by an exported policy, or simulate it."),
     },
     "Develop": {
         "compile": ("code.compile_", "Print the Python module that a scenario compiles to."),

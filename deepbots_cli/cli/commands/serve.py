@@ -49,7 +49,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Act for a robot by the policy of a bundle, or simulate the robot.
+    """Act for a robot by an exported policy, or simulate it.
 
     The policy gets what sensors measure over ROS 2 or ZeroMQ and answers with commands, both in SI units, at the rate of the bundle. Every
     message is checked: layout, finite numbers, range, age and order. Commands are kept within the limits of the actuators. On silence, and
