@@ -52,7 +52,7 @@ _EXTRAS = {
     "contrib": "MaskablePPO, RecurrentPPO and TQC",
     "view": "the page of view and play",
     "editor": "the language server",
-    "export": "policies for robots",
+    "export": "policies as ONNX",
     "ros": "ROS 2 topics of serve",
     "zmq": "ZeroMQ of serve",
     "cluster": "--workers and --cluster",
