@@ -112,19 +112,20 @@ def picture_of(name: str) -> str | None:
 
 
 def _cards() -> Iterator[str]:
-    """Each card has a class for each value of a filter; theme/gallery.js makes the filters of them."""
+    """A card for each page, with a line of robots, sensors and algorithms, which theme/static/gallery.js filters by."""
     yield "````{container} cards"
     for base, variants in families().items():
         here = world(base)
         family = [here, *map(world, variants)]
-        classes = [f"robot--{model}" for one in family for model in one.models]
-        classes += [f"sensor--{sensor.replace(' ', '_')}" for one in family for sensor in one.sensors]
-        classes += [f"algorithm--{one.algorithm}" for one in family]
-        yield from (f"```{{container}} card {' '.join(dict.fromkeys(classes))}", "")
+        robots = dict.fromkeys(model for one in family for model in one.models)
+        sensors = dict.fromkeys(sensor for one in family for sensor in one.sensors)
+        algorithms = dict.fromkeys(one.algorithm for one in family)
+        yield from ("```{container} card", "")
         picture = picture_of(base)
         if picture:
             yield from (f"[![{here.title}](images/{Path(picture).name})](scenarios/{base}.md)", "")
-        yield f"[**{here.title}**](scenarios/{base}.md) {here.summary}"
+        yield from (f"[**{here.title}**](scenarios/{base}.md) {here.summary}", "")
+        yield f"*{' · '.join(', '.join(names) or 'none' for names in (robots, sensors, algorithms))}*"
         if variants:
             yield from ("", f"Variants: {', '.join(f'`{variant}`' for variant in variants)}")
         yield from ("```", "")

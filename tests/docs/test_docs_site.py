@@ -15,6 +15,7 @@ from urllib.parse import unquote
 import pytest
 
 from deepbots_cli.diagnostics.registry import RULES
+from tests.view.browser import CHROMIUM, browser
 
 DOCS = Path(__file__).parents[2] / "docs"
 SCENARIOS = sorted(path.stem for path in (DOCS.parent / "scenarios").glob("*.yaml"))
@@ -145,23 +146,54 @@ class Page(HTMLParser):
                 self.links.append(unquote(value))
 
 
-@pytest.mark.slow
-def test_the_site_builds_without_a_warning_and_its_links_lead_somewhere(site: ModuleType, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def built_site(site: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("sphinx", "myst_parser", "furo"):
         pytest.importorskip(name)
-    assert site.build(tmp_path / "sources", tmp_path / "site") == 0
-    built = {
-        path.relative_to(tmp_path / "site").as_posix(): Page(path.read_text(encoding="utf-8"))
-        for path in (tmp_path / "site").rglob("*.html")
-    }
+    folder: Path = tmp_path_factory.mktemp("built")
+    assert site.build(folder / "sources", folder / "site") == 0  # a warning is an error
+    return folder / "site"
+
+
+@pytest.mark.slow
+def test_links_and_anchors_of_the_built_site_lead_somewhere(built_site: Path) -> None:
+    built = {path.relative_to(built_site).as_posix(): Page(path.read_text(encoding="utf-8")) for path in built_site.rglob("*.html")}
     broken = []
     for place, page in built.items():
         for link in page.links:
             path, _, anchor = link.partition("#")
             target = posixpath.normpath(posixpath.join(posixpath.dirname(place), path.partition("?")[0])) if path else place
-            there = (tmp_path / "site" / target).is_file() and (target not in built or anchor in built[target].anchors)
+            there = (built_site / target).is_file() and (target not in built or anchor in built[target].anchors)
             broken += [] if there else [(place, link)]
     assert broken == []
+
+
+@pytest.mark.browser
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
+def test_a_browser_filters_the_gallery_finds_words_and_fits_pages_to_a_phone(built_site: Path) -> None:
+    with browser() as new_tab:
+        tab = new_tab()
+        tab.call("Page.navigate", url=(built_site / "worlds.html").as_uri())
+        shown = (
+            "[...document.querySelectorAll('.card')].filter(card => card.offsetParent).map(card => card.querySelector('strong').innerText)"
+        )
+        assert len(tab.wait(f"document.querySelector('.filters') && {shown}")) == len(import_module("build_gallery").families())
+        choose = "(() => {{ const s = document.querySelectorAll('.filters select')[{}]; s.value = '{}';"
+        choose += " s.dispatchEvent(new Event('change', {{bubbles: true}})); return true; }})()"
+        tab.run(choose.format(1, "gyro"))
+        assert tab.run(shown) == ["Balancer", "PitEscape", "Hover", "A1Velocity"]
+        tab.run(choose.format(0, "quadrotor"))
+        assert tab.run(shown) == ["Hover"]
+        tab.run(choose.format(2, "SAC"))
+        assert tab.run(shown) == []
+        tab.call("Emulation.setDeviceMetricsOverride", width=380, height=800, deviceScaleFactor=1, mobile=False)
+        for name in ("index", "worlds", "start", "results", "reference/keys", "reference/commands", "scenarios/quadruped", "agents"):
+            tab.call("Page.navigate", url=(built_site / f"{name}.html").as_uri())
+            tab.wait(f"location.pathname.endsWith('/{name}.html') && document.readyState == 'complete'")
+            assert tab.run("document.documentElement.scrollWidth") <= 380, name
+        tab.call("Page.navigate", url=f"{(built_site / 'search.html').as_uri()}?q=domain+randomization")
+        assert "Glossary" in tab.wait("document.querySelector('#search-results li') && document.querySelector('#search-results').innerText")
 
 
 @pytest.mark.slow

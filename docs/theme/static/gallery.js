@@ -1,23 +1,27 @@
-// Filters over the cards of the gallery: one for each kind of class, such as robot--epuck.
-const cards = [...document.querySelectorAll(".card")];
+// Filters over the cards of the gallery. The emphasized line of a card holds its robots, sensors and algorithms.
+const cards = [...document.querySelectorAll(".card")].map((element) => {
+  const facts = element.querySelector("em").textContent.split(" · ");
+  return { element, facts: facts.map((names) => names.split(", ")) };
+});
 if (cards.length) {
   const bar = document.createElement("div");
-  bar.className = "filters";
   const count = document.createElement("span");
+  bar.className = "filters";
   count.setAttribute("role", "status");
-  const choices = ["robot", "sensor", "algorithm"].map((kind) => {
-    const names = cards.flatMap((card) => [...card.classList].filter((name) => name.startsWith(kind + "--")));
+  const selects = ["robot", "sensor", "algorithm"].map((kind, index) => {
     const select = document.createElement("select");
-    select.append(new Option("any", ""));
-    for (const name of [...new Set(names)].sort()) select.append(new Option(name.slice(kind.length + 2).replaceAll("_", " "), name));
+    const names = new Set(cards.flatMap((card) => card.facts[index]));
+    select.append(new Option("any", ""), ...[...names].sort().map((name) => new Option(name)));
     const label = document.createElement("label");
     label.append(kind + " ", select);
     bar.append(label);
     return select;
   });
   const show = () => {
-    for (const card of cards) card.hidden = !choices.every((select) => !select.value || card.classList.contains(select.value));
-    count.textContent = `${cards.filter((card) => !card.hidden).length} of ${cards.length}`;
+    for (const card of cards) {
+      card.element.hidden = !selects.every((select, index) => !select.value || card.facts[index].includes(select.value));
+    }
+    count.textContent = `${cards.filter((card) => !card.element.hidden).length} of ${cards.length}`;
   };
   bar.append(count);
   bar.addEventListener("change", show);
