@@ -53,6 +53,7 @@ _EXTRAS = {
     "view": "the page of view and play",
     "editor": "the language server",
     "export": "policies as ONNX",
+    "robot": "policies on a robot",
     "cluster": "--workers and --cluster",
     "tune": "searches by tune",
 }
