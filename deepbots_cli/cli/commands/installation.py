@@ -53,9 +53,9 @@ _EXTRAS = {
     "view": "the page of view and play",
     "editor": "the language server",
     "export": "policies as ONNX",
-    "robot": "policies on a robot",
     "cluster": "--workers and --cluster",
     "tune": "searches by tune",
+    "robot": "policies on a robot",
 }
 """What each extra is for. The metadata of the installation name its packages."""
 
