@@ -87,7 +87,7 @@ class ControllerPrinter(ClassPrinter):
             return []
         printer = self._printer(dict.fromkeys(self._received, "0.0"))
         printer.update_memories(applied)
-        lines = printer.method_lines()
+        lines = self._finished(printer, [])
         return block("def reset(self) -> None:", [*lines, "self.compute()"] if self._keeps_state else lines)
 
     def _observe(self) -> list[str]:

@@ -27,6 +27,7 @@ FURTHER: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("drone", ()),
     ("sensed", ()),
     ("pushed", ()),
+    ("../../bundle/readings", ()),
 )
 FAST = (*WORLDS, "balancer", "cartpole_wireless", "find_and_avoid", "panda_push")
 
@@ -74,6 +75,12 @@ def test_what_advances_between_two_actions_does_so_in_a_bundle(scenario, overrid
     assert known.info.timestep_s == step.program.world.timestep
     found = compared(scenario, *overrides, steps=100)
     assert found.steps == 100
+    assert found.worst <= 1e-5
+
+
+def test_what_robots_and_messages_remember_advances_when_they_act():
+    found = compared(str(Path(__file__).parent / "messages.yaml"), steps=60)
+    assert found.steps == 60
     assert found.worst <= 1e-5
 
 

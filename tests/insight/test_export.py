@@ -201,4 +201,6 @@ def test_nothing_is_overwritten_and_a_group_is_refused(bundle, run, tmp_path, ca
     assert "is not a directory" in capsys.readouterr().err
     (tmp_path / "group.json").write_text("{}")
     assert main(["export", str(tmp_path), "-o", str(tmp_path / "new")]) == 2
+    assert main(["export", str(run), "--to", "isaac-lab", "-o", str(tmp_path / "new")]) == 2
+    assert "choices, goals, images, copies" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from shlex import quote
 from typing import Annotated
@@ -20,9 +21,15 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.program import identity
 
 
+class Form(StrEnum):
+    bundle = "bundle"
+    isaac_lab = "isaac-lab"
+
+
 def command(
     source: Annotated[Path, typer.Argument(metavar="RUN|BUNDLE", help="A run directory, or with --check a folder that `export` wrote.")],
     out: Annotated[Path | None, option("--output -o FOLDER", "Folder to write; by default RUN-bundle.")] = None,
+    to: Annotated[Form, option("--to", "A bundle, or the files that runners of Isaac Lab read.", ADVANCED)] = Form.bundle,
     force: Force = False,
     last: Annotated[bool, option("--last", "Export the last model instead of the best one.", ADVANCED)] = False,
     check: Annotated[str | None, option("--check SCENARIO", "Compare a bundle with a scenario, item by item; write nothing.")] = None,
@@ -37,28 +44,43 @@ def command(
     actuators. bundle.json and README.md hold names, units, frames, ranges, rates, ages, the result with its interval, and versions.
     parity.npz has recorded steps, which `deepbots_robot.load` repeats.
 
+    --to isaac-lab writes exported/policy.onnx over observations and params/deploy.yaml instead, for robots with position motors.
+
     --check compares the observation, action and messages of the bundle with those of a scenario. The exit code is 0 if the policy fits,
     and 1 if it does not.
 
     \b
       deepbots export runs/cartpole-0-1 -o cartpole-bundle
+      deepbots export runs/walk-0-1 --to isaac-lab -o walk
       deepbots export --check cartpole cartpole-bundle
       deepbots export --check mine.yaml cartpole-bundle
 
     Next: the README.md of the bundle shows its inputs and outputs.
     """
     if check is not None:
-        _check(source, check, overrides or (), Permissions(allow_paths or (), code=True), as_json=as_json, writes=out is not None or last)
+        _check(
+            source,
+            check,
+            overrides or (),
+            Permissions(allow_paths or (), code=True),
+            as_json=as_json,
+            writes=out is not None or last or to is not Form.bundle,
+        )
         return
     if overrides or allow_paths:
         raise UsageError("--set and --allow-path need --check SCENARIO; a run is always exported as it was trained")
-    folder = out or Path(f"{source.resolve().name}-bundle")
+    folder = out or Path(f"{source.resolve().name}-{to.value}")
     check_new_folder(folder, force=force)
     run = Run.open(source)
     with terminal.transient_line("exporting the policy ..."):
         from deepbots_cli.insight.export import bundle  # torch, which exporting imports, takes a second
 
-        files = bundle.bundle_files(run, "last" if last else "best")
+        write = bundle.bundle_files if to is Form.bundle else bundle.isaac_files
+        files = write(run, "last" if last else "best")
+    if to is not Form.bundle:
+        write_new(files, folder, force=force)
+        terminal.show({"folder": folder}, f"{folder}: {', '.join(map(str, files))}", as_json=as_json)
+        return
     from deepbots_robot.model import plain
 
     write_new(files, folder, force=force)
@@ -82,7 +104,7 @@ def _check(folder: Path, scenario: str, overrides: list[str] | tuple[()], permis
     from deepbots_cli.insight.export import bundle
 
     if writes:
-        raise UsageError("--check writes nothing; leave out --output and --last")
+        raise UsageError("--check writes nothing; leave out --output, --last and --to")
     known = bundle.read_bundle(folder)
     compiled = api.compile(scenario, overrides=overrides, permissions=permissions)
     words = ("bundle", "scenario")

@@ -75,6 +75,22 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
     return {PurePosixPath(name): content for name, content in files.items()}
 
 
+def isaac_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
+    """The files of `export --to isaac-lab`.
+
+    Raises:
+        MissingExtraError: onnx or what learns is not installed.
+        RunError: There is no such model, or it is damaged.
+        UsageError: The scenario does not fit this form.
+    """
+    try:
+        from deepbots_cli.insight.export import isaac
+        from deepbots_cli.learning import policy
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("export", "exporting a policy") from error
+    return isaac.isaac_files(run.program, policy.loaded(run, name))
+
+
 def _info(run: Run, name: ModelName, step: ControlStep) -> BundleInfo:
     """What bundle.json says, without the digests of the files."""
     from deepbots_cli.learning.learner import steps_of
