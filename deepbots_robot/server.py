@@ -197,9 +197,10 @@ class Server:
             self._step()
         elif now >= self._due + LATE * self._period:
             self.held_steps += 1
-            self._step()
+            self._step(held=True)
 
-    def _step(self) -> None:
+    def _step(self, *, held: bool = False) -> None:
+        """Ask the policy; `held` if a value is missing, so that there is nothing that it answers."""
         received = self.intake.newest()[1]
         values = self.intake.values()
         try:
@@ -219,7 +220,8 @@ class Server:
         self._send({ACTION: np.atleast_1d(found[ACTION]), **commands} if ACTION in found else commands)
         answer = self._clock() - received
         self.steps += 1
-        self.answers.append(answer)
+        if not held:
+            self.answers.append(answer)
         self._pace(now)
         if self._log is not None:
             self._log.step(self._stamp(), values, commands, answer, "policy")
