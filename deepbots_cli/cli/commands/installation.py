@@ -57,6 +57,7 @@ _EXTRAS = {
     "zmq": "ZeroMQ of serve",
     "cluster": "--workers and --cluster",
     "tune": "searches by tune",
+    "robot": "policies on a robot",
 }
 """What each extra is for. The metadata of the installation name its packages."""
 
