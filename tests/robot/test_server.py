@@ -320,7 +320,7 @@ def test_damaged_bytes_of_ros_messages_crash_nothing() -> None:
     codec = ros.Codec("sensor_msgs/JointState", [(ANGLE, Topic("/s", "sensor_msgs/JointState"))])
     good = bytearray(codec.encode({"cart.angle": [0.5]}, 5.0).serialize(use_version_2=False))
     world = World()
-    for number in range(2_000):
+    for number in range(500):
         spoiled = bytearray(good[: rng.randrange(4, len(good) + 1)])
         for _ in range(rng.randrange(1, 4)):
             spoiled[rng.randrange(len(spoiled))] = rng.randrange(256)
