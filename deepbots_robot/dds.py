@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from cyclonedds.core import DDSException, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
@@ -100,7 +101,8 @@ class RosLink:
     def send(self, values: Mapping[str, Array], stamp: float) -> None:
         for writer, codec in self._writers:
             if all(field.name in values for field in codec.fields):
-                writer.write(codec.encode(values, stamp))
+                with suppress(DDSException):  # a reader that stands still
+                    writer.write(codec.encode(values, stamp), round(stamp * 1e9))
 
     def reset(self, number: int, stamp: float) -> None:
         if self._episode_writer is not None:

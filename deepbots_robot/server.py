@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from deepbots_robot.intake import Input, Intake, Refusal
+from deepbots_robot.intake import RESTART, Input, Intake, Refusal
 from deepbots_robot.link import Array, Link
 from deepbots_robot.topics import ACTION, Field
 
@@ -134,6 +134,7 @@ class Server:
         self._speed, self._step_time = speed, 1.0 / rate
         self._period = self._step_time / speed
         self._due = -np.inf
+        self._begun_at = np.inf
         self._fault = ""  # the kind of reason why the robot is in the safe posture
         self._last_sent: Mapping[str, Array] = {}
         self._sent_at = clock()
@@ -153,8 +154,8 @@ class Server:
         """How long nothing has to be done, in s."""
         if self._lockstep or not np.isfinite(self._due):
             return _LONGEST_WAIT
-        now = self._clock()
-        return float(min(max(0.0, min(self._due + LATE * self._period, self.intake.deadline()) - now), _LONGEST_WAIT))
+        until = self._due + (0.0 if self.intake.complete() else LATE * self._period)
+        return float(min(max(0.0, min(until, self.intake.deadline()) - self._clock()), _LONGEST_WAIT))
 
     def turn(self) -> None:
         """Take what has arrived, and act if it is time."""
@@ -175,7 +176,7 @@ class Server:
             self._answer(wrong, again)
         elif wrong is not None and (not self._fault or now >= self._due - EARLY * self._period):
             self._send_safe(wrong.kind, wrong.text)
-        elif np.isfinite(self._due) or self.intake.complete():
+        elif np.isfinite(self._due) or self.intake.complete() or now - self._begun_at > RESTART:
             self._keep_time(now)
 
     def _answer(self, wrong: Refusal | None, again: bool) -> None:
@@ -192,13 +193,14 @@ class Server:
         if stale:
             if not self._fault or now >= self._due:
                 self._send_safe("silence", f"no new value of {', '.join(stale[:3])}")
-        elif self.intake.complete() and now >= self._due - EARLY * self._period:
+        elif self.intake.complete() and (self._fault or now >= self._due - EARLY * self._period):
             self._step()
         elif now >= self._due + LATE * self._period:
             self.held_steps += 1
-            self._step()
+            self._step(held=True)
 
-    def _step(self) -> None:
+    def _step(self, *, held: bool = False) -> None:
+        """Ask the policy; `held` if a value is missing, so that there is nothing that it answers."""
         received = self.intake.newest()[1]
         values = self.intake.values()
         try:
@@ -218,7 +220,8 @@ class Server:
         self._send({ACTION: np.atleast_1d(found[ACTION]), **commands} if ACTION in found else commands)
         answer = self._clock() - received
         self.steps += 1
-        self.answers.append(answer)
+        if not held:
+            self.answers.append(answer)
         self._pace(now)
         if self._log is not None:
             self._log.step(self._stamp(), values, commands, answer, "policy")
@@ -243,7 +246,8 @@ class Server:
 
     def _pace(self, now: float) -> None:
         """The time of the next step: after one period, without catching up steps that were missed."""
-        self._due = max(self._due + self._period, now + self._period * (1.0 - EARLY))
+        first = not np.isfinite(self._due)
+        self._due = now + self._period if first else max(self._due + self._period, now + self._period * (1.0 - EARLY))
 
     def _stamp(self) -> float:
         """The time of a command: now, or in lockstep that of the values that it answers."""
@@ -255,7 +259,7 @@ class Server:
         self._policy.reset()
         self.intake.begin(stamp)
         self._last_sent = {}
-        self._due = -np.inf
+        self._due, self._begun_at = -np.inf, self._clock()
         self._fault = ""
         self._event("episode", str(number))
 

@@ -45,7 +45,7 @@ class Transport:
         Raises:
             ServeError: The package of the link is missing, or the address, the interface or a topic cannot be used.
         """
-        extra = "ros" if self.zmq is None else "zmq"
+        package = "cyclonedds" if self.zmq is None else "pyzmq"
         try:
             if self.zmq is not None:
                 from deepbots_robot.zeromq import ZmqLink
@@ -55,7 +55,7 @@ class Transport:
 
             return RosLink(receives, sends, robot=robot, interface=self.interface, domain=self.domain)
         except ModuleNotFoundError as error:
-            raise ServeError(f"{error.name} is not installed; install it with: pip install 'deepbots-cli[{extra}]'") from None
+            raise ServeError(f"{package} is not installed, or lacks {error.name}; install it with: pip install {package}") from None
         except ValueError as error:
             raise ServeError(str(error)) from None
 

@@ -219,10 +219,11 @@ class SimulatedRobot(Driver):
         self.link.send(values, stamp)
         self.steps += 1
         if self._lockstep or self._first:
-            self._wait_for_answer(values, sent, stamp)
-            self._due = sent + self._period
-        else:
-            self._follow(sent)
+            self._wait_for_answer(values, sent, stamp if self._lockstep else -np.inf)  # in real time commands have the time of the policy
+        if self._first:
+            self._due = time.monotonic() + self._period
+        if not self._lockstep:
+            self._follow(None if self._first else sent)
         self._first = False
         return super().act(observation)
 
@@ -235,25 +236,25 @@ class SimulatedRobot(Driver):
             time.sleep(0.01)
         self.link.take()
         self.link.reset(self.episodes, time.time())
-        self.intake.begin(time.time())
         self.episodes += 1
 
-    def _wait_for_answer(self, values: Mapping[str, Any], sent: float, stamp: float) -> None:
+    def _wait_for_answer(self, values: Mapping[str, Any], sent: float, since: float) -> None:
+        """Wait for commands that are not older than `since`; what was sent is sent again if none come."""
         again = sent + AGAIN
-        while not self._received(sent, stamp):
+        while not self._received(sent, since):
             now = time.monotonic()
             if now > sent + self._patience:
                 raise UsageError(f"no command came within {self._patience:g} s on {self.link.name}; is the policy one of this scenario?")
             if now > again:
-                self.link.send(values, stamp)
+                self.link.send(values, time.time() if since == -np.inf else since)
                 again = now + AGAIN
             self.link.wait(max(0.0, again - now))
 
-    def _follow(self, sent: float) -> None:
-        """Take commands until the step is due; the newest ones count."""
-        answered = False
+    def _follow(self, sent: float | None) -> None:
+        """Take commands until the step is due; the newest ones count. `sent` is None if what was sent is answered already."""
+        answered = sent is None
         while True:
-            answered |= self._received(None if answered else sent, 0.0)
+            answered |= self._received(None if answered else sent, -np.inf)
             left = self._due - time.monotonic()
             if left <= 0.0:
                 break
@@ -262,10 +263,10 @@ class SimulatedRobot(Driver):
         self.late_steps += left < -self._period
         self._due = max(self._due + self._period, time.monotonic())
 
-    def _received(self, sent: float | None, stamp: float) -> bool:
+    def _received(self, sent: float | None, since: float) -> bool:
         """Obey what has come; whether there is now a command of each actuator that answers what was sent."""
         for arrival in self.link.take():
-            if arrival.kind == "fields" and (arrival.stamp is None or arrival.stamp >= stamp - 1e-6):
+            if arrival.kind == "fields" and (arrival.stamp is None or arrival.stamp >= since - 1e-6):
                 if ACTION in arrival.fields and self._space.shape is not None:
                     self._action = _fitting(arrival.fields[ACTION], self._space, self._still)
                 else:

@@ -109,7 +109,7 @@ def test_it_answers_values_at_once_and_at_the_rate_of_the_bundle() -> None:
     assert 49 <= len(found) <= 51
     assert found[0] == (100.0, [0.0, 0.0])
     for at, command in found[1:]:
-        assert command == pytest.approx([round((at - 100.0) * 100) * 0.01] * 2)
+        assert command == pytest.approx([round((at - 100.0) * 100) * 0.01] * 2, abs=0.0101)  # at most one message old
 
 
 def test_uneven_messages_are_used_once_each() -> None:
@@ -238,6 +238,16 @@ def test_an_episode_begins_with_a_new_memory_and_without_old_values() -> None:
     assert world.policy.begun == world.server.episodes == 1
 
 
+def test_a_robot_that_is_silent_after_a_reset_gets_the_safe_posture() -> None:
+    world = World()
+    world.line.put(100.0, 0.3)
+    world.run(100.01)
+    world.line.coming.append((100.02, Arrival("e", stamp=100.02, kind="reset", number=1)))
+    found = world.run(101.5)
+    assert {tuple(command) for _, command in found} == {(0.0, 0.0)}
+    assert found[0][0] <= 101.2
+
+
 def test_in_lockstep_there_is_one_answer_for_each_moment_however_long_it_takes() -> None:
     world = World(lockstep=True)
     for step in range(20):
@@ -310,7 +320,7 @@ def test_damaged_bytes_of_ros_messages_crash_nothing() -> None:
     codec = ros.Codec("sensor_msgs/JointState", [(ANGLE, Topic("/s", "sensor_msgs/JointState"))])
     good = bytearray(codec.encode({"cart.angle": [0.5]}, 5.0).serialize(use_version_2=False))
     world = World()
-    for number in range(2_000):
+    for number in range(500):
         spoiled = bytearray(good[: rng.randrange(4, len(good) + 1)])
         for _ in range(rng.randrange(1, 4)):
             spoiled[rng.randrange(len(spoiled))] = rng.randrange(256)
