@@ -5,6 +5,7 @@ The policy listens on a port, and a robot connects to it. Pages of a browser are
 
 from __future__ import annotations
 
+import logging
 import re
 import threading
 from collections import deque
@@ -21,6 +22,9 @@ from deepbots_robot.link import MAX_BYTES, Array, Arrival
 from deepbots_robot.messages import SUPERVISOR, by_robot, read, write
 from deepbots_robot.topics import Field
 
+_SILENT = logging.getLogger(__name__)  # websockets writes a traceback for each connection that is no WebSocket
+_SILENT.addHandler(logging.NullHandler())
+_SILENT.propagate = False
 _MAX_WAITING = 4096
 """Messages that wait to be taken; the oldest are dropped."""
 
@@ -47,7 +51,8 @@ class WebSocketLink:
         self._server: Any = None
         if not robot:
             try:
-                self._server = serve(self._listen, self._host, self._port, max_size=MAX_BYTES, origins=[None], compression=None)
+                settings: dict[str, Any] = {"max_size": MAX_BYTES, "compression": None, "logger": _SILENT}
+                self._server = serve(self._listen, self._host, self._port, origins=[None], **settings)
             except OSError as error:
                 raise ValueError(f"{self.name} cannot be opened: {(error.strerror or 'unknown reason').lower()}") from None
             threading.Thread(target=self._server.serve_forever, daemon=True).start()
@@ -93,7 +98,7 @@ class WebSocketLink:
     def connected(self) -> bool:
         if self._peer is None and self._robot:
             with suppress(WebSocketException, OSError):  # nobody is there yet
-                peer = connect(f"ws://{self._host}:{self._port}", max_size=MAX_BYTES, compression=None, open_timeout=5)
+                peer = connect(f"ws://{self._host}:{self._port}", max_size=MAX_BYTES, compression=None, open_timeout=5, logger=_SILENT)
                 self._peer = peer
                 threading.Thread(target=self._listen, args=(peer,), daemon=True).start()
         return self._peer is not None
