@@ -193,8 +193,7 @@ class Arithmetic:
         it exact: what remains is the third power of 1e-7.
         """
         zero, one, pi = self.constant([0.0]), self.constant([1.0]), self.constant([math.pi])
-        below = self._negative(self._node("Div", one, y))  # also for -0.0; onnxruntime's `Where` would lose its sign
-        left = self._negative(x)
+        below, left = (self._negative(self._node("Div", one, side)) for side in (y, x))  # -0.0 is negative, too
         at_origin = self.both(self.binary("Equal", y, zero), self.binary("Equal", x, zero))
         slope = self._node("Div", y, self.where(at_origin, one, x))
         coarse = Value(self.graph.cast(self.graph.add("Atan", self.graph.cast(slope.name, np.float32)), np.float64), slope.size)
