@@ -14,7 +14,9 @@ idl.py        the ROS 2 messages as types of Cyclone DDS
 ros.py        fields as ROS 2 messages and back
 link.py       what a link between robot and policy is
 dds.py        the link over ROS 2
+messages.py   the messages of ZeroMQ and WebSocket
 zeromq.py     the link over ZeroMQ
+websocket.py  the link over WebSocket
 intake.py     checks of what a robot sends
 server.py     the loop that acts: steps, limits of commands, the safe posture
 log.py        the MCAP log of a server

@@ -21,13 +21,14 @@ def main() -> int:
     parser.add_argument("--interface", metavar="NAME", help="network interface of ROS 2; by default the loopback interface")
     parser.add_argument("--domain", metavar="N", type=int, default=0, help="domain of ROS 2, as ROS_DOMAIN_ID")
     parser.add_argument("--zmq", metavar="ADDRESS", help="ZeroMQ at an address such as tcp://127.0.0.1:5555")
+    parser.add_argument("--websocket", metavar="PORT", help="WebSocket at a port of this machine, or HOST:PORT")
     parser.add_argument("--lockstep", action="store_true", help="answer each set of values once; the robot waits for the answer")
     parser.add_argument("--speed", metavar="N", type=float, default=1.0, help="how fast the time of the robot passes")
     parser.add_argument("--log", metavar="FILE", type=Path, help="write an MCAP log")
     parser.add_argument("--seconds", metavar="N", type=float, help="stop after so many seconds")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     given = parser.parse_args()
-    transport = Transport(given.zmq, given.interface, given.domain)
+    transport = Transport(given.zmq, given.websocket, given.interface, given.domain)
     try:
         report = serve(
             load(given.bundle), transport, speed=given.speed, lockstep=given.lockstep, log=given.log, seconds=given.seconds,

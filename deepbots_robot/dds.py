@@ -65,7 +65,7 @@ class RosLink:
                 raise ValueError(f"the domain {domain} is already open on another network interface")
             self._participant = DomainParticipant(domain)
         except DDSException as error:
-            raise ValueError(f"{self.name} cannot be opened: {error}") from None
+            raise ValueError(f"{self.name} cannot be opened; `ip address` lists the network interfaces") from error
         self._robot = robot
         sensors, commands = (sends, receives) if robot else (receives, sends)
         qos = dict.fromkeys(_by_topic(sensors), SENSOR_DATA) | dict.fromkeys(_by_topic(commands), COMMANDS)

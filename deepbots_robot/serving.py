@@ -33,11 +33,16 @@ class ServeError(Exception):
 
 @dataclass(frozen=True)
 class Transport:
-    """Which link to open. With neither address nor interface it is ROS 2 on the loopback interface."""
+    """Which link to open. Without an address it is ROS 2, by default on the loopback interface."""
 
     zmq: str | None = None
+    websocket: str | None = None
     interface: str | None = None
     domain: int = 0
+
+    @property
+    def is_ros(self) -> bool:
+        return self.zmq is None and self.websocket is None
 
     def open(self, receives: Sequence[tuple[Field, Topic]], sends: Sequence[tuple[Field, Topic]], *, robot: bool) -> Link:
         """One end of the link.
@@ -45,12 +50,17 @@ class Transport:
         Raises:
             ServeError: The package of the link is missing, or the address, the interface or a topic cannot be used.
         """
-        package = "cyclonedds" if self.zmq is None else "pyzmq"
+        package = "pyzmq" if self.zmq is not None else "websockets" if self.websocket is not None else "cyclonedds"
+        fields = [field for field, _ in receives], [field for field, _ in sends]
         try:
             if self.zmq is not None:
                 from deepbots_robot.zeromq import ZmqLink
 
-                return ZmqLink(self.zmq, [field for field, _ in receives], [field for field, _ in sends], robot=robot)
+                return ZmqLink(self.zmq, *fields, robot=robot)
+            if self.websocket is not None:
+                from deepbots_robot.websocket import WebSocketLink
+
+                return WebSocketLink(self.websocket, *fields, robot=robot)
             from deepbots_robot.dds import RosLink
 
             return RosLink(receives, sends, robot=robot, interface=self.interface, domain=self.domain)
@@ -173,7 +183,7 @@ def serve(
             writer.close()
         raise
     server = Server(bundle.start(), inputs, outputs, link, bundle.info.rate_hz, speed=speed, lockstep=lockstep, log=_Notes(writer, note))
-    sources = ", ".join(dict.fromkeys(topic.name for _, topic in receives)) if transport.zmq is None else "the robot"
+    sources = ", ".join(dict.fromkeys(topic.name for _, topic in receives)) if transport.is_ros else "the robot"
     note(f"{bundle.info.scenario.name} acts at {bundle.info.rate_hz:g} Hz over {link.name}; it waits for {sources}")
     try:
         with _stopping() as stopped:

@@ -101,7 +101,7 @@ def _until(holds: object) -> None:
     ("words", "said"),
     [
         (["nothing"], "nothing is not a bundle of `deepbots export`: there is no such folder"),
-        (["BUNDLE", "--ros", "--zmq", "tcp://127.0.0.1:5555"], "--ros and --zmq are two links; choose one"),
+        (["BUNDLE", "--ros", "--zmq", "tcp://127.0.0.1:5555"], "--ros and --zmq are different links; choose one"),
         (["BUNDLE", "--zmq", "127.0.0.1:5555"], "'127.0.0.1:5555' is no address of ZeroMQ; write one like tcp://127.0.0.1:5555"),
         (["BUNDLE", "--zmq", "tcp://127.0.0.1:5555", "--domain", "3"], "--interface and --domain belong to ROS 2"),
         (["BUNDLE", "--interface", "<x>"], "'<x>' is no network interface; `ip address` lists them"),

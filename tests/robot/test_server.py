@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip("mcap")
 pytest.importorskip("zmq")
 
-from deepbots_robot import zeromq
+from deepbots_robot import messages
 from deepbots_robot.intake import Input
 from deepbots_robot.link import Array, Arrival
 from deepbots_robot.log import LogWriter, read_log
@@ -299,7 +299,7 @@ def test_ten_thousand_damaged_messages_are_not_obeyed_and_crash_nothing() -> Non
         content = msgspec.msgpack.encode(spoiled) if packed else msgspec.json.encode(spoiled)
         if rng.random() < 0.3:
             content = content[: rng.randrange(len(content))] + bytes(rng.randrange(256) for _ in range(rng.randrange(4)))
-        world.line.coming.append((at, zeromq.read(content, fields)))
+        world.line.coming.append((at, messages.read(content, fields)))
         if number % 10 == 9:
             moment += 1
             world.line.put(at + 0.5 / RATE, 0.125)

@@ -114,6 +114,16 @@ def test_episodes_over_ros_topics(tmp_path: Path) -> None:
     assert [episode.length for episode, _ in again] == lengths
 
 
+def test_episodes_over_websocket() -> None:
+    pytest.importorskip("websockets")
+    program, transport = made("cartpole")[0].program, Transport(websocket="58745")
+    with served("cartpole", transport) as server:
+        found = list(serve_robot(program, transport, episodes=2, lockstep=True, patience=10))
+        again = list(serve_robot(program, transport, episodes=2, lockstep=True, patience=10))  # a robot that comes back
+    assert server.steps == 2 * sum(episode.length for episode, _ in found)
+    assert [episode.length for episode, _ in again] == [episode.length for episode, _ in found]
+
+
 def test_a_robot_without_a_policy_says_so(tmp_path: Path) -> None:
     program = api.compile("cartpole").program
     with pytest.raises(UsageError, match=r"nobody listens on ZeroMQ at ipc://.*; start the policy first: deepbots serve BUNDLE"):

@@ -32,6 +32,9 @@ def command(
     zmq: Annotated[
         str | None, option("--zmq ADDRESS", "Use ZeroMQ at an address such as tcp://127.0.0.1:5555; the policy binds it.", _LINK)
     ] = None,
+    websocket: Annotated[
+        str | None, option("--websocket PORT", "Use WebSocket at a port of this machine, or at HOST:PORT; the policy listens.", _LINK)
+    ] = None,
     interface: Annotated[
         str | None, option("--interface NAME", "Network interface of ROS 2; by default the loopback interface.", _LINK)
     ] = None,
@@ -56,9 +59,10 @@ def command(
 ) -> None:
     """Let a policy act for a robot, or simulate the robot.
 
-    The policy gets what sensors measure over ROS 2 or ZeroMQ and answers with commands, both in SI units, at the rate of the bundle. Every
-    message is checked: layout, finite numbers, range, age and order. Commands are kept within the limits of the actuators. On silence, and
-    after a wrong message, the robot gets the safe posture of the bundle. At the end there is a table of answer times and refused messages.
+    The policy gets what sensors measure over ROS 2, ZeroMQ or WebSocket and answers with commands, both in SI units, at the rate of the
+    bundle. Every message is checked: layout, finite numbers, range, age and order. Commands are kept within the limits of the actuators.
+    On silence, and after a wrong message, the robot gets the safe posture of the bundle. At the end there is a table of answer times and
+    refused messages.
     `python -m deepbots_robot BUNDLE` does the same where deepbots is not installed.
 
     With --as-robot, a simulation of the scenario is the robot: it sends its sensors and obeys commands in real time, episode after
@@ -73,17 +77,18 @@ def command(
 
     Next: Ctrl-C ends both.
     """
-    if ros and zmq is not None:
-        raise UsageError("--ros and --zmq are two links; choose one")
-    if zmq is not None and (interface is not None or domain):
-        raise UsageError("--interface and --domain belong to ROS 2; leave them out with --zmq")
+    links = [name for name, given in (("--ros", ros), ("--zmq", zmq), ("--websocket", websocket)) if given]
+    if len(links) > 1:
+        raise UsageError(f"{' and '.join(links)} are different links; choose one")
+    if links not in ([], ["--ros"]) and (interface is not None or domain):
+        raise UsageError(f"--interface and --domain belong to ROS 2; leave them out with {links[0]}")
     if not 0.0 < speed <= 1000.0:
         raise UsageError(f"--speed {speed:g}: write a number above 0, at most 1000")
     try:
         from deepbots_robot.serving import Transport
     except ModuleNotFoundError as error:
         raise MissingExtraError("robot", "serving a policy") from error
-    transport = Transport(zmq, interface, domain)
+    transport = Transport(zmq, websocket, interface, domain)
     if not as_robot:
         if episodes is not None or seed or overrides or engine or permissions != Permissions():
             raise UsageError(

@@ -1,0 +1,73 @@
+"""The messages of ZeroMQ and WebSocket: one per robot and moment, in JSON or MessagePack.
+
+    {"robot": "cart", "stamp": 12.34, "fields": {"cart.pole_angle": [0.01]}}      from the robot: what its sensors measure
+    {"robot": "cart", "stamp": 12.34, "reset": 3}                                 from the robot: episode 3 begins
+    {"robot": "cart", "stamp": 12.35, "fields": {"cart.wheels": [5, 5, 5, 5]}}    to the robot: its commands
+
+Values that the robot cannot measure may come in messages of the robot `supervisor`. A picture is its bytes, rows first, in JSON in base64.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from deepbots_robot.link import Array, Arrival
+from deepbots_robot.topics import MAX_NUMBERS, Field
+
+SUPERVISOR = "supervisor"
+_MAX_FIELDS = 4096
+
+Name = Annotated[str, Meta(max_length=200)]
+Row = Annotated[list[float], Meta(max_length=MAX_NUMBERS)]
+
+
+class Message(msgspec.Struct, omit_defaults=True, forbid_unknown_fields=True):
+    """A message of either end."""
+
+    robot: Name
+    stamp: float
+    fields: Annotated[dict[Name, Row | bytes], Meta(max_length=_MAX_FIELDS)] = {}
+    reset: Annotated[int, Meta(ge=0, le=10**9)] | None = None
+
+
+_READ_JSON, _READ_PACKED = msgspec.json.Decoder(Message), msgspec.msgpack.Decoder(Message)
+
+
+def read(content: bytes, fields: Mapping[str, Field]) -> Arrival:
+    """A message; `problem` says what is wrong with bytes that are none."""
+    try:
+        message = (_READ_JSON if content[:1] == b"{" else _READ_PACKED).decode(content)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, OverflowError) as error:
+        return Arrival("a message", problem=f"it cannot be read: {' '.join(str(error).split())[:150]}")
+    if message.reset is not None:
+        return Arrival(message.robot, stamp=message.stamp, kind="reset", number=message.reset)
+    found: dict[str, Array] = {}
+    for name, value in message.fields.items():
+        array: Array = np.frombuffer(value, np.uint8) if isinstance(value, bytes) else np.array(value, float)
+        known = fields.get(name)
+        if known is not None and known.is_picture != isinstance(value, bytes):
+            return Arrival(message.robot, problem=f"{name} is {'a picture' if known.is_picture else 'no picture'}")
+        found[name] = array.reshape(known.shape) if known is not None and array.size == known.count else array
+    return Arrival(message.robot, found, message.stamp)
+
+
+def write(robot: str, values: Mapping[str, Array], stamp: float, *, packed: bool, reset: int | None = None) -> bytes:
+    """The bytes of a message."""
+    fields: dict[str, Any] = {
+        name: value.tobytes() if value.dtype == np.uint8 else value.reshape(-1).astype(float).tolist() for name, value in values.items()
+    }
+    message = Message(robot, stamp, fields, reset)
+    return msgspec.msgpack.encode(message) if packed else msgspec.json.encode(message)
+
+
+def by_robot(fields: Sequence[Field]) -> dict[str, list[str]]:
+    """The names of fields by the robot of their messages."""
+    found: dict[str, list[str]] = {}
+    for field in fields:
+        found.setdefault(field.robot or SUPERVISOR, []).append(field.name)
+    return found

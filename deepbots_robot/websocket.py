@@ -1,0 +1,112 @@
+"""The link over WebSocket: the messages of `zeromq.py`, JSON as text and MessagePack as binary frames.
+
+The policy listens on a port, and a robot connects to it. Pages of a browser are refused: they would send an origin.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import threading
+from collections import deque
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+from websockets.sync.server import serve
+
+from deepbots_robot.link import MAX_BYTES, Array, Arrival
+from deepbots_robot.messages import SUPERVISOR, by_robot, read, write
+from deepbots_robot.topics import Field
+
+_SILENT = logging.getLogger(__name__)  # websockets writes a traceback for each connection that is no WebSocket
+_SILENT.addHandler(logging.NullHandler())
+_SILENT.propagate = False
+_MAX_WAITING = 4096
+"""Messages that wait to be taken; the oldest are dropped."""
+
+
+class WebSocketLink:
+    """One end of a link over WebSocket: a policy listens on a port, a robot connects to it."""
+
+    def __init__(self, address: str, receives: Sequence[Field], sends: Sequence[Field], *, robot: bool = False) -> None:
+        """Listen at `PORT` of this machine or at `HOST:PORT`, or with `robot` connect to it.
+
+        Raises:
+            ValueError: The address is none, is taken, or cannot be reached at all.
+        """
+        host, _, port = address.rpartition(":")
+        if not re.fullmatch(r"([A-Za-z0-9_.-]{1,255}:)?[0-9]{1,5}", address) or not 0 < int(port) < 2**16:
+            raise ValueError(f"'{address[:100]}' is no port; write one like 8765, or HOST:PORT")
+        self._host, self._port = host or "127.0.0.1", int(port)
+        self.name = f"WebSocket at {self._host}:{self._port}"
+        self._fields = {field.name: field for field in receives}
+        self._robots = by_robot(sends)
+        self._robot, self._packed, self._peer = robot, False, None
+        self._waiting: deque[str | bytes] = deque(maxlen=_MAX_WAITING)
+        self._here = threading.Event()
+        self._server: Any = None
+        if not robot:
+            try:
+                settings: dict[str, Any] = {"max_size": MAX_BYTES, "compression": None, "logger": _SILENT}
+                self._server = serve(self._listen, self._host, self._port, origins=[None], **settings)
+            except OSError as error:
+                raise ValueError(f"{self.name} cannot be opened: {(error.strerror or 'unknown reason').lower()}") from None
+            threading.Thread(target=self._server.serve_forever, daemon=True).start()
+
+    def _listen(self, peer: Any) -> None:
+        """Take the messages of a connection, in a thread of its own, until it ends; the newest connection gets the answers."""
+        self._peer = peer
+        with suppress(WebSocketException, OSError):
+            for content in peer:
+                self._waiting.append(content)
+                self._here.set()
+        if self._peer is peer:
+            self._peer = None
+
+    def wait(self, timeout: float) -> None:
+        if not self._waiting:
+            self._here.wait(max(0.0, timeout))
+        self._here.clear()
+
+    def take(self) -> Sequence[Arrival]:
+        found: list[Arrival] = []
+        while self._waiting:
+            content = self._waiting.popleft()
+            self._packed = isinstance(content, bytes)
+            found.append(read(content.encode() if isinstance(content, str) else content, self._fields))
+        return found
+
+    def send(self, values: Mapping[str, Array], stamp: float) -> None:
+        for robot, names in self._robots.items():
+            present = {name: np.asarray(values[name]) for name in names if name in values}
+            if present:
+                self._write(write(robot, present, stamp, packed=self._packed))
+
+    def reset(self, number: int, stamp: float) -> None:
+        self._write(write(next(iter(self._robots), SUPERVISOR), {}, stamp, packed=self._packed, reset=number))
+
+    def _write(self, content: bytes) -> None:
+        peer: Any = self._peer
+        if peer is not None:
+            with suppress(WebSocketException, OSError):  # nobody is there any more
+                peer.send(content if self._packed else content.decode())
+
+    def connected(self) -> bool:
+        if self._peer is None and self._robot:
+            with suppress(WebSocketException, OSError):  # nobody is there yet
+                peer = connect(f"ws://{self._host}:{self._port}", max_size=MAX_BYTES, compression=None, open_timeout=5, logger=_SILENT)
+                self._peer = peer
+                threading.Thread(target=self._listen, args=(peer,), daemon=True).start()
+        return self._peer is not None
+
+    def close(self) -> None:
+        with suppress(WebSocketException, OSError):
+            if self._server is not None:
+                self._server.shutdown()
+            peer: Any = self._peer
+            if peer is not None:
+                peer.close()
