@@ -107,7 +107,8 @@ class RosLink:
     def reset(self, number: int, stamp: float) -> None:
         if self._episode_writer is not None:
             self._episode_writer.write(idl.Header(time_of(stamp), str(number)))
-            self._episode_writer.wait_for_acks(duration(seconds=1))
+            with suppress(Exception):  # a reader that was killed never answers, and cyclonedds then raises an AttributeError of its own
+                self._episode_writer.wait_for_acks(duration(seconds=1))
 
     def connected(self) -> bool:
         return any(writer.get_matched_subscriptions() for writer, _ in self._writers)

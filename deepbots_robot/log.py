@@ -52,9 +52,9 @@ class LogWriter:
         """Begin a file; `about` goes into its metadata.
 
         Raises:
-            OSError: The file cannot be written.
+            OSError: The file exists already, or cannot be written.
         """
-        self._file = path.open("wb")
+        self._file = path.open("xb")
         self._writer = Writer(self._file, use_chunking=False, compression=CompressionType.NONE)
         self._writer.start(library="deepbots")
         self._writer.add_metadata("deepbots_robot", dict(about))

@@ -192,7 +192,9 @@ class Server:
         stale = self.intake.stale(now)
         if stale:
             if not self._fault or now >= self._due:
-                self._send_safe("silence", f"no new value of {', '.join(stale[:3])}")
+                silent = self.intake.stale(now + self._period)  # the others follow within a period
+                names = "any input" if len(silent) == len(self.intake.inputs) else ", ".join(silent[:3])
+                self._send_safe("silence", f"no new value of {names}")
         elif self.intake.complete() and (self._fault or now >= self._due - EARLY * self._period):
             self._step()
         elif now >= self._due + LATE * self._period:
@@ -297,7 +299,7 @@ def report_lines(report: Mapping[str, Any]) -> list[str]:
         f" {report['limited_steps']:,} with a limited command",
         f"  answer       median {shown[0]}, 99th percentile {shown[1]}, longest {shown[2]}",
         f"  safe posture {report['safe_steps']:,} commands",
-        *(f"    {count:,} times because of: {reason}" for reason, count in report["safe_because"].items()),
+        *(f"    {count:,} time{'s' * (count != 1)} because of: {reason}" for reason, count in report["safe_because"].items()),
         f"  messages     {report['messages']:,} received, {sum(entry['count'] for entry in report['refused'].values()):,} refused",
     ]
     return lines + [f"    {entry['count']:,} {kind}, the first: {entry['first']}" for kind, entry in report["refused"].items()]

@@ -204,6 +204,8 @@ def _opened(path: Path | None, bundle: Bundle) -> LogWriter | None:
         return LogWriter(path, {"scenario": bundle.info.scenario.name, "digest": bundle.info.scenario.digest})
     except ModuleNotFoundError as error:
         raise ServeError(f"{error.name} is not installed; install it with: pip install {error.name}") from None
+    except FileExistsError:
+        raise ServeError(f"{path} exists already; name another file for the log") from None
     except OSError as error:
         raise ServeError(f"{path} cannot be written: {(error.strerror or 'unknown reason').lower()}") from None
 

@@ -30,7 +30,7 @@ class ZmqLink:
         Raises:
             ValueError: The address is no address of ZeroMQ, or is taken.
         """
-        if not re.fullmatch(ADDRESS, address):
+        if not re.fullmatch(ADDRESS, address) or (address.startswith("tcp") and int(address.rpartition(":")[2]) > 65535):
             raise ValueError(f"'{address[:100]}' is no address of ZeroMQ; write one like tcp://127.0.0.1:5555")
         self.name = f"ZeroMQ at {address}"
         self._fields = {field.name: field for field in receives}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from statistics import fmean
@@ -40,6 +40,8 @@ from deepbots_robot.topics import ACTION, Field, Topic, action_field
 
 AGAIN = 0.25
 """Seconds without an answer after which a robot that waits sends its sensors again."""
+SILENT_STEPS = 5
+"""Steps without a command after which the user is told."""
 PATIENCE = 60.0
 """Seconds that a robot waits for the first command of an episode, and in lockstep for every command."""
 
@@ -175,6 +177,7 @@ class SimulatedRobot(Driver):
         lockstep: bool = False,
         speed: float = 1.0,
         patience: float = PATIENCE,
+        note: Callable[[str], object] = lambda text: None,
     ) -> None:
         """`environment` is made from `with_probes(robot_program(program), readings)`."""
         super().__init__(lambda _: self._action)
@@ -190,6 +193,7 @@ class SimulatedRobot(Driver):
         self._watch = Watch(environment, readings, ())
         self._obeyed: dict[str, list[float]] = {}
         self._first, self._due = True, 0.0
+        self._note, self._silent_steps = note, 0
         for robot in {entry.robot for entry in outputs}:
             self._take_over(environment, robot)
 
@@ -260,6 +264,11 @@ class SimulatedRobot(Driver):
                 break
             self.link.wait(left)
         self.held_steps += not answered
+        if answered and self._silent_steps >= SILENT_STEPS:
+            self._note("commands come again")
+        self._silent_steps = 0 if answered else self._silent_steps + 1
+        if self._silent_steps == SILENT_STEPS:
+            self._note(f"no command for {SILENT_STEPS} steps: the motors keep the last one")
         self.late_steps += left < -self._period
         self._due = max(self._due + self._period, time.monotonic())
 
@@ -312,8 +321,11 @@ def serve_robot(
     speed: float = 1.0,
     patience: float = PATIENCE,
     permissions: Permissions = Permissions(),
+    note: Callable[[str], object] = lambda text: None,
 ) -> Iterator[tuple[Episode, SimulatedRobot]]:
     """Episode after episode, with the starts of an evaluation with this seed; without end if `episodes` is None.
+
+    `note` is called with what the user should know, such as a policy that has become silent.
 
     Raises:
         UsageError: The link cannot be opened, or no command comes.
@@ -329,7 +341,7 @@ def serve_robot(
     except ServeError as error:
         raise UsageError(str(error)) from None
     with closing(link), closing(api.build(with_probes(bare, readings), engine=engine, permissions=permissions)) as environment:
-        robot = SimulatedRobot(environment, readings, outputs, link, lockstep=lockstep, speed=speed, patience=patience)
+        robot = SimulatedRobot(environment, readings, outputs, link, lockstep=lockstep, speed=speed, patience=patience, note=note)
         number = 0
         while episodes is None or number < episodes:
             yield play(environment, robot, Start.of_evaluation(seed, number)), robot

@@ -22,8 +22,12 @@ from deepbots_cli.learning.run import ModelName, Run
 MIN_STEPS, MAX_STEPS = 50, 3_000
 """The smallest number of steps in a log, and how many of it and of the simulation are compared at most."""
 DIFFERENT = 0.2
-"""The Kolmogorov-Smirnov distance from which on two distributions are called different. Steps of an episode depend on each other, so a
-test of significance that takes them for independent would find a difference in every log."""
+"""The Kolmogorov-Smirnov distance from which on two distributions may be called different. Steps of an episode depend on each other, so a
+test of significance that takes them for independent would find a difference in every log. Parts of the simulation that are as long as the
+log say which distance chance explains."""
+_BEYOND_CHANCE = 1.5
+"""How many times the largest of these distances a difference must reach."""
+_PARTS = 6
 _NOISE = 0.1
 """Noise counts from this share of the standard deviation of the simulation on."""
 _SHIFT = 0.5
@@ -128,6 +132,7 @@ class FieldComparison(NamedTuple):
         robot: Mean and standard deviation in the log.
         simulated: Mean and standard deviation in the simulation.
         distance: The Kolmogorov-Smirnov distance of the two distributions, 0 to 1.
+        chance: The largest distance of a part of the simulation, as long as the log, from the whole.
         since: From which time of the log on, in s, it stays outside of the middle 98 % of the simulation; None if it does not.
         advice: The line of the scenario that makes the simulation draw the difference; empty if none is known.
     """
@@ -137,8 +142,14 @@ class FieldComparison(NamedTuple):
     robot: tuple[float, float]
     simulated: tuple[float, float]
     distance: float
+    chance: float
     since: float | None
     advice: str
+
+    @property
+    def is_different(self) -> bool:
+        """Whether the distance is larger than chance explains."""
+        return self.distance >= max(DIFFERENT, _BEYOND_CHANCE * self.chance)
 
 
 class _Field(NamedTuple):
@@ -182,7 +193,7 @@ def compare_log(run: Run, path: Path, *, model: ModelName = "best") -> list[Fiel
         if info.dtype != "uint8"
         for place, part in enumerate(info.components or [""] * info.shape[0])
     ]
-    count = max(MIN_STEPS, len(steps))
+    count = min(_PARTS * len(steps), _PARTS * MAX_STEPS // 2)
     with torch_settings():
         recorded = recorded_steps(control, lambda world: PolicyDriver(learner, world), engine=run.record.engine)
         simulated = [step.inputs for step in islice(recorded, count)]
@@ -209,11 +220,13 @@ def _compared(number: _Field, here: Array, there: Array, times: Array) -> FieldC
     low, high = np.quantile(there, (0.01, 0.99))
     inside = np.flatnonzero((here >= low) & (here <= high))
     last = int(inside[-1]) if len(inside) else -1
-    apart = distance(here, there)
-    since = float(times[last + 1]) if apart >= DIFFERENT and last + 1 < len(times) - MIN_STEPS // 2 else None
+    since = float(times[last + 1]) if last + 1 < len(times) - MIN_STEPS // 2 else None
+    parts = [there[first : first + len(here)] for first in range(0, len(there) - len(here) // 2, len(here))]
+    chance = max((distance(part, there) for part in parts), default=0.0) if len(parts) > 1 else 0.0
     advice = _advice(number, here, there) if number.sensor else ""
-    moments = ((float(values.mean()), float(values.std())) for values in (here, there))
-    return FieldComparison(number.name, number.unit, next(moments), next(moments), apart, since, advice)
+    robot, simulated = ((float(values.mean()), float(values.std())) for values in (here, there))
+    found = FieldComparison(number.name, number.unit, robot, simulated, distance(here, there), chance, since, advice)
+    return found if found.is_different else found._replace(since=None, advice="")
 
 
 def distance(one: Array, other: Array) -> float:

@@ -96,7 +96,7 @@ def command(
         terminal.note(f"no robot measures {', '.join(missing)}; README.md of the bundle says what must supply them")
     if info.evaluation is None and not last and not as_json:
         terminal.note(f"evaluate the run first for a result in the bundle: deepbots eval {quote(str(source))}")
-    next_commands = [f"deepbots export --check SCENARIO {quote(str(folder))}"]
+    next_commands = [f"deepbots serve {quote(str(folder))}", f"deepbots export --check SCENARIO {quote(str(folder))}"]
     terminal.show({"bundle": folder, **plain(info)}, "\n".join(told), as_json=as_json, next_commands=next_commands)
 
 

@@ -103,7 +103,7 @@ def command(
 
     side = open_source(source, overrides or (), permissions, engine)
     engine = engine or (side.run.engine_for(side.program) if side.run else None)
-    settings: dict[str, Any] = {"episodes": episodes, "seed": seed, "engine": engine, "permissions": permissions}
+    settings: dict[str, Any] = {"episodes": episodes, "seed": seed, "engine": engine, "permissions": permissions, "note": terminal.note}
     running = serve_robot(side.program, transport, lockstep=lockstep, speed=speed, **settings)
     _simulate(side.program.name, running, as_json=as_json, success=side.program.defines_success)
 

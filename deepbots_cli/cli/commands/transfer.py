@@ -109,25 +109,29 @@ def command(
 def _compare_log(runs: Sequence[Run], path: Path, *, as_json: bool, others: Sequence[object]) -> None:
     if len(runs) > 1 or any(other is not None for other in others):
         raise UsageError("--log compares a log with the simulation of one run; leave out other runs, worlds and requirements")
-    from deepbots_cli.insight.robot_log import DIFFERENT, compare_log
+    from deepbots_cli.insight.robot_log import compare_log
 
     (run,) = runs
     with terminal.transient_line("simulating ..."):
         found = compare_log(run, path)
-    different = [each for each in found if each.distance >= DIFFERENT]
+    different = [each for each in found if each.is_different]
     rows = [
         {
             "value": f"{each.name} ({each.unit})" if each.unit else each.name,
             "robot": f"{number(each.robot[0])} ± {number(each.robot[1])}",
             "simulation": f"{number(each.simulated[0])} ± {number(each.simulated[1])}",
             "distance": f"{each.distance:.2f}",
+            "chance": f"{each.chance:.2f}",
             "outside_since": "" if each.since is None else f"{each.since:.1f} s",
         }
         for each in found
     ]
     lines = [f"{path} beside the simulation of {run.path}: mean ± standard deviation of each input of the policy", table(rows)]
-    lines.append("distance: Kolmogorov-Smirnov, from 0 for equal distributions to 1")
-    lines.append(f"different: {', '.join(each.name for each in different)}" if different else f"no distance reaches {DIFFERENT:g}")
+    lines.append(
+        "distance: Kolmogorov-Smirnov, from 0 for equal distributions to 1; chance: that of a part of the simulation of this length"
+    )
+    names = ", ".join(each.name for each in different)
+    lines.append(f"different: {names}" if different else "no value differs by more than chance explains")
     advice = list(dict.fromkeys(each.advice for each in different if each.advice))
     lines += ["", "so that the simulation draws it:", *(f"  {line}" for line in advice)] if advice else []
     terminal.show([each._asdict() for each in found], *lines, as_json=as_json)
