@@ -56,7 +56,7 @@ def command(
     The policy is evaluated on the same held-out starts in the world of its training and in the other one. Then the other world repeats
     episodes of the first one, with the same starts and actions. The table shows which numbers of the observation and which reward terms
     differ, and from which step on. Below it are changes of the first world that explain the difference: a wrong sign, unit or order, a
-    latency, a mass, a friction or a weaker motor. At last, the policy is evaluated under changed conditions, as by `deepbots robustness`.
+    latency, a mass, a friction or a weaker motor. Finally, the policy is evaluated under changed conditions, as by `deepbots robustness`.
 
     With --min-success or --min-return, the exit code is 1 if the policy misses it in one of the two worlds, or at the first level of one
     of the conditions.
@@ -171,7 +171,8 @@ def _lines(found: Transfer) -> list[str]:
         lines.append(f"\nchanges of {here} that explain the difference")
         lines.append(table([{"change": cause.text, "explains": percent(cause.explained)} for cause in compared.causes[:5]]))
     elif compared.differences:
-        lines.append("\nno change that was tried explains it")
+        lines.append("\nno change that was tried explains it: order, sign, unit and age of numbers, order and sign of actions, latencies,")
+        lines.append("weaker motors, and one mass (with its inertia) or friction at a time, x 0.5 to 2")
     if found.robustness is not None:
         lines += ["", records.robustness_text(found.robustness)]
     lines += [f"{'passed' if each.met else 'failed'}: {each.text}" for each in found.gates]
