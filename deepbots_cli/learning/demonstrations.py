@@ -57,7 +57,7 @@ def read_recording(path: str | Path, program: Program) -> Recording:
         UsageError: They differ, the file cannot be read or is too long, or several agents act in it.
     """
     found = Recording.read(Path(path))
-    recorded = api.compile(Source.kept(Path(found.folder.name), Permissions())).program
+    recorded = api.compile(Source.kept(found.folder, Permissions())).program
     differ = identity.differences(recorded, program, words=("recording", "scenario"))
     if differ:
         raise UsageError(f"the actions of {path} do not fit {program.name}:\n  " + "\n  ".join(differ))

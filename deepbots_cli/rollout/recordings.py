@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import io
+import shutil
 import struct
+import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path, PurePosixPath
-from tempfile import TemporaryDirectory
+from tempfile import mkdtemp
 from typing import Any
 
 import msgspec
@@ -42,12 +44,12 @@ class RecordedEpisode:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording as it was read; `folder` holds its scenario while it is open."""
+    """A recording as it was read; `folder` holds its scenario, as long as the recording is in use."""
 
     path: Path
     metadata: Mapping[str, str]
     episodes: Sequence[RecordedEpisode]
-    folder: TemporaryDirectory[str]
+    folder: Path
 
     @staticmethod
     def read(path: Path) -> Recording:
@@ -79,15 +81,16 @@ class Recording:
             )
         if "resolved.yaml" not in files or not steps:
             raise RecordingError(f"{path} is damaged: it contains no {'episode' if files else 'scenario'}")
-        folder = TemporaryDirectory(prefix="deepbots-recording-")
+        found = Recording(path, metadata, list(_episodes(path, steps)), Path(mkdtemp(prefix="deepbots-recording-")))
+        weakref.finalize(found, shutil.rmtree, found.folder, ignore_errors=True)
         for name, content in files.items():
-            target = Path(folder.name, name)
+            target = found.folder / name
             try:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 target.write_bytes(content)
             except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
                 raise RecordingError(f"{path} is damaged: it contains a file and a folder of the same name") from error
-        return Recording(path, metadata, list(_episodes(path, steps)), folder)
+        return found
 
     def episode(self, number: int) -> RecordedEpisode:
         """The episode of this number.

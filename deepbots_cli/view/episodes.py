@@ -84,7 +84,7 @@ class Showing:
                 "leave out --set, --case, --stage, --engine, --worlds and --start"
             )
         recording = Recording.read(path)
-        compiled = api.compile(Source.kept(Path(recording.folder.name), self.permissions))
+        compiled = api.compile(Source.kept(recording.folder, self.permissions))
         known = recording.metadata
         shown = replace(self, engine=known.get("engine") or None, case=known.get("case") or None, stage=known.get("stage") or None)
         return ShowingState(

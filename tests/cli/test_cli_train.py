@@ -457,8 +457,10 @@ def interrupted(tmp_path_factory):
     reading = threading.Thread(target=lambda: pieces.extend(iter(lambda: read_until_closed(ours), b"")))
     reading.start()  # a terminal holds 4 KiB, beyond which the training would wait for ever
     deadline = time.monotonic() + 600
-    while not list((folder / "mine" / "checkpoints").glob("0*")) and process.poll() is None and time.monotonic() < deadline:
+    begun = False  # with a checkpoint, and the first progress shown
+    while not begun and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.05)
+        begun = bool(list((folder / "mine" / "checkpoints").glob("0*"))) and "━".encode() in b"".join(pieces)
     process.send_signal(signal.SIGINT)
     out, _ = process.communicate(timeout=60)
     reading.join(timeout=60)
