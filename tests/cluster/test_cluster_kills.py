@@ -288,6 +288,7 @@ def test_a_driver_or_a_head_that_is_killed_loses_nothing(number: int, seen: Proc
             time.sleep(0.02)
         time.sleep(after)
         seen.below(os.getpid())
+        has_ray = any("raylet" in process.command for process in below(driver.pid))  # a Ray of its own, which says that it was lost
         is_ended = driver.poll() is not None
         if nodes is not None:
             nodes.head_node.kill_all_processes(check_alive=False, allow_graceful=False, wait=True)
@@ -295,9 +296,11 @@ def test_a_driver_or_a_head_that_is_killed_loses_nothing(number: int, seen: Proc
             driver.kill()
         _, printed = driver.communicate(timeout=90)
         print(f"KILLS_SEED={SEED} {number}: {kind}, {'head' if is_head else 'driver'} {after:.2f} s after the first episode", is_ended)
-        assert is_ended or driver.returncode != 0
-        assert is_ended or printed.splitlines()[-1].startswith(
-            "error: the connection to Ray was lost, or this process was killed; to continue"
+        is_ended |= driver.returncode == 0  # between the question and the kill
+        assert (
+            is_ended
+            or not (has_ray or is_head)
+            or printed.splitlines()[-1].startswith("error: the connection to Ray was lost, or this process was killed; to continue")
         ), printed
         assert "Traceback" not in printed
     if not is_ended or kind != "group":
