@@ -9,17 +9,16 @@ import logging
 import re
 import threading
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
-import numpy as np
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 from websockets.sync.server import serve
 
-from deepbots_robot.link import MAX_BYTES, Array, Arrival
-from deepbots_robot.messages import SUPERVISOR, by_robot, read, write
+from deepbots_robot.link import MAX_BYTES, Arrival
+from deepbots_robot.messages import MessageSender, read
 from deepbots_robot.topics import Field
 
 _SILENT = logging.getLogger(__name__)  # websockets writes a traceback for each connection that is no WebSocket
@@ -29,7 +28,7 @@ _MAX_WAITING = 4096
 """Messages that wait to be taken; the oldest are dropped."""
 
 
-class WebSocketLink:
+class WebSocketLink(MessageSender):
     """One end of a link over WebSocket: a policy listens on a port, a robot connects to it."""
 
     def __init__(self, address: str, receives: Sequence[Field], sends: Sequence[Field], *, robot: bool = False) -> None:
@@ -44,8 +43,8 @@ class WebSocketLink:
         self._host, self._port = host or "127.0.0.1", int(port)
         self.name = f"WebSocket at {self._host}:{self._port}"
         self._fields = {field.name: field for field in receives}
-        self._robots = by_robot(sends)
-        self._robot, self._packed, self._peer = robot, False, None
+        super().__init__(sends)
+        self._robot, self._peer = robot, None
         self._waiting: deque[str | bytes] = deque(maxlen=_MAX_WAITING)
         self._here = threading.Event()
         self._server: Any = None
@@ -79,15 +78,6 @@ class WebSocketLink:
             self._packed = isinstance(content, bytes)
             found.append(read(content.encode() if isinstance(content, str) else content, self._fields))
         return found
-
-    def send(self, values: Mapping[str, Array], stamp: float) -> None:
-        for robot, names in self._robots.items():
-            present = {name: np.asarray(values[name]) for name in names if name in values}
-            if present:
-                self._write(write(robot, present, stamp, packed=self._packed))
-
-    def reset(self, number: int, stamp: float) -> None:
-        self._write(write(next(iter(self._robots), SUPERVISOR), {}, stamp, packed=self._packed, reset=number))
 
     def _write(self, content: bytes) -> None:
         peer: Any = self._peer

@@ -6,22 +6,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 import zmq
 
-from deepbots_robot.link import MAX_BYTES, Array, Arrival
-from deepbots_robot.messages import SUPERVISOR, by_robot, read, write
+from deepbots_robot.link import MAX_BYTES, Arrival
+from deepbots_robot.messages import MessageSender, read
 from deepbots_robot.topics import Field
 
 ADDRESS = r"tcp://[A-Za-z0-9_.*:\[\]-]{1,255}:[0-9]{1,5}|ipc://[^\x00]{1,100}"
 _TAKEN = 256
 
 
-class ZmqLink:
+class ZmqLink(MessageSender):
     """One end of a link over ZeroMQ: a policy binds an address, a robot connects to it."""
 
     def __init__(self, address: str, receives: Sequence[Field], sends: Sequence[Field], *, robot: bool = False) -> None:
@@ -34,8 +34,8 @@ class ZmqLink:
             raise ValueError(f"'{address[:100]}' is no address of ZeroMQ; write one like tcp://127.0.0.1:5555")
         self.name = f"ZeroMQ at {address}"
         self._fields = {field.name: field for field in receives}
-        self._robots = by_robot(sends)
-        self._robot, self._packed, self._peer = robot, False, b""
+        super().__init__(sends)
+        self._robot, self._peer = robot, b""
         self._socket: Any = zmq.Context.instance().socket(zmq.DEALER if robot else zmq.ROUTER)
         self._socket.setsockopt(zmq.LINGER, 100)
         self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)
@@ -63,15 +63,6 @@ class ZmqLink:
                 self._peer, self._packed = sender[0], content[:1] != b"{"
             found.append(read(content, self._fields))
         return found
-
-    def send(self, values: Mapping[str, Array], stamp: float) -> None:
-        for robot, names in self._robots.items():
-            present = {name: np.asarray(values[name]) for name in names if name in values}
-            if present:
-                self._write(write(robot, present, stamp, packed=self._packed))
-
-    def reset(self, number: int, stamp: float) -> None:
-        self._write(write(next(iter(self._robots), SUPERVISOR), {}, stamp, packed=self._packed, reset=number))
 
     def _write(self, content: bytes) -> None:
         with suppress(zmq.ZMQError):  # nobody is there, or does not read

@@ -41,7 +41,7 @@ from deepbots_robot.topics import ACTION, Field, Topic, action_field
 AGAIN = 0.25
 """Seconds without an answer after which a robot that waits sends its sensors again."""
 SILENT_STEPS = 5
-"""Steps without a command after which the user is told."""
+"""Steps without a command after which the simulated robot prints a note."""
 PATIENCE = 60.0
 """Seconds that a robot waits for the first command of an episode, and in lockstep for every command."""
 

@@ -73,7 +73,7 @@ def is_robot_log(path: Path) -> bool:
         with path.open("rb") as file:
             first = islice(StreamReader(file, record_size_limit=1 << 20).records, 8)
             return any(isinstance(found, records.Metadata) and found.name == "deepbots_robot" for found in first)
-    except Exception:  # noqa: BLE001  whatever mcap raises for a file that is none
+    except Exception:  # noqa: BLE001  mcap raises errors of many kinds for a file that is no MCAP file
         return False
 
 

@@ -8,9 +8,11 @@ from itertools import groupby
 from typing import NamedTuple
 
 from deepbots_cli.analysis import Analysis
+from deepbots_cli.analysis.deployment import Deployment, reading_key
 from deepbots_cli.analysis.ranges import bounds_text, range_text, with_unit
 from deepbots_cli.compiler.robots import joint_dimension, joint_interval
 from deepbots_cli.diagnostics import Edit, Finding, Fix, Label
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document.layout import removal_fix
 from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.intervals import Interval, hull
@@ -418,11 +420,47 @@ def _limits_of_parts(program: Program, entry: Observation) -> list[Interval]:
     return []
 
 
+def reading_not_supplied(context: RuleContext) -> Iterator[Finding]:
+    """DB617: the policy needs a reading of the world that no robot measures, and `deploy` does not say what supplies it.
+
+    In the simulation, the supervisor reads the world: `position(ball)` is exact and never late. A robot has its sensors only. A scenario
+    with a section `deploy` is meant for a robot, so each such reading needs something that supplies it: a tracker, an estimator, another
+    robot. Write it under `deploy.supplied_by`, or observe a sensor instead. The rule also reports an entry of `supplied_by` that the
+    policy does not need. Scenarios without `deploy` are not checked.
+
+    Example::
+
+        deploy: {supplied_by: {position(cart): cameras}}
+
+    Instead::
+
+        deploy: {supplied_by: {position(cart): cameras, velocity(cart): cameras, velocity(cart.tip): cameras}}
+    """
+    spec = context.checked.spec
+    if spec is None or spec.deploy is None:
+        return
+    deployment = Deployment(context.program)
+    given = {reading_key(key): key for key in spec.deploy.supplied_by}
+    missing = [name for name in deployment.unmeasured if name not in given]
+    if missing:
+        needed = f"{', '.join(f'`{name}`' for name in missing)}, which no robot measures"
+        help = f"write what supplies it, as in `deploy: {{supplied_by: {{{missing[0]}: motion capture}}}}`, or observe a sensor instead"
+        yield Finding("DB617", context.values.key_span(("deploy",)), f"the policy needs {needed}, and `deploy` names no supplier", help)
+    known = [*deployment.unmeasured, *deployment.goals]
+    for name, key in given.items():
+        if name not in known:
+            near = nearest_word(name, known)
+            help = f"did you mean `{near}`?" if near else "remove it" if not known else f"the policy needs {', '.join(known)}"
+            span = context.values.key_span(("deploy", "supplied_by", key))
+            yield Finding("DB617", span, f"the policy does not need `{name}`", help)
+
+
 STATIC_RULES = (
     range_of_other_parts,
     noise_without_effect,
     observation_unbounded,
     bounds_mismatch,
     goal_in_observation,
+    reading_not_supplied,
 )
 SIMULATED_RULES = (outside_space, constant_observation, often_saturated)

@@ -176,7 +176,7 @@ def _episodes(path: Path, steps: Sequence[Payloads]) -> Iterator[RecordedEpisode
 
 @contextmanager
 def damaged(path: Path) -> Iterator[None]:
-    """Within, content that is not as it should be is told in a sentence."""
+    """A block that reads a recording raises a RecordingError where the content is damaged."""
     try:
         yield
     except (msgspec.MsgspecError, LookupError, TypeError, ValueError, AttributeError, OSError, OverflowError, RecursionError) as error:

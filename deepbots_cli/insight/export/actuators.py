@@ -82,7 +82,7 @@ def _or(number: float | None, other: float) -> float:
 
 
 def _within(command: Command, limits: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """The limits; where there is none, the most that the scenario commands."""
+    """The limits of each component, and for a component without a limit the largest command of the scenario."""
     known = command.target.typed.type
     components = known.components or (None,) * len(limits)
     found = []
