@@ -135,7 +135,8 @@ class Server:
         self._period = self._step_time / speed
         self._due = -np.inf
         self._begun_at = np.inf
-        self._fault = ""  # the kind of reason why the robot is in the safe posture
+        self._fault = ""  # the kind of reason why the robot is in the safe posture, in this episode
+        self._is_safe = False  # whether the last command was that of the safe posture
         self._last_sent: Mapping[str, Array] = {}
         self._sent_at = clock()
 
@@ -216,9 +217,9 @@ class Server:
         if commands is None:
             self._send_safe("policy", "the policy computes a command that is not finite")
             return
-        if self._fault:
+        if self._is_safe:
             self._event("resumed", "all inputs are there again")
-            self._fault = ""
+        self._is_safe, self._fault = False, ""
         self._send({ACTION: np.atleast_1d(found[ACTION]), **commands} if ACTION in found else commands)
         answer = self._clock() - received
         self.steps += 1
@@ -234,7 +235,7 @@ class Server:
         if kind != self._fault:
             self._event("safe", reason)
             self.faults[kind] += 1
-        self._fault = kind
+        self._is_safe, self._fault = True, kind
         self.safe_steps += 1
         self._send(commands)
         self._pace(now)
