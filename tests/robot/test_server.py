@@ -16,6 +16,7 @@ pytest.importorskip("mcap")
 pytest.importorskip("zmq")
 
 from deepbots_robot import messages
+from deepbots_robot.about import Remark
 from deepbots_robot.intake import Input
 from deepbots_robot.link import Array, Arrival
 from deepbots_robot.log import LogWriter, read_log
@@ -74,6 +75,9 @@ class Line:
 
     def connected(self) -> bool:
         return True
+
+    def remarks(self) -> Sequence[Remark]:
+        return []
 
     def close(self) -> None: ...
 
