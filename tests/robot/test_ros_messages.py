@@ -115,7 +115,7 @@ def test_fields_come_back_from_the_bytes_of_their_messages() -> None:
     for field in FIELDS:
         by_topic.setdefault(mapping[field.name].name, []).append((field, mapping[field.name]))
     for sharing in by_topic.values():
-        codec = ros.Codec(sharing[0][1].type, sharing)
+        codec = ros.Codec(sharing[0][1].type, sharing, idl.empty)
         message = codec.encode(values, 12.25)
         again = idl.TYPES[codec.type].deserialize(message.serialize(use_version_2=False))
         assert ros.stamp_of(again) in (12.25, None)
@@ -124,7 +124,7 @@ def test_fields_come_back_from_the_bytes_of_their_messages() -> None:
 
 
 def test_joints_are_found_by_name_in_any_order() -> None:
-    codec = ros.Codec("sensor_msgs/JointState", [(FIELDS[0], Topic("/s", "sensor_msgs/JointState"))])
+    codec = ros.Codec("sensor_msgs/JointState", [(FIELDS[0], Topic("/s", "sensor_msgs/JointState"))], idl.empty)
     message = idl.JointState(idl.Header(idl.Time()), ["c", "z", "a", "b"], [3.0, 9.0, 1.0, 2.0], [], [])
     assert codec.decode(message)["dog.q"].tolist() == [1.0, 2.0, 3.0]
     message.name[0] = "wheel"
@@ -133,7 +133,7 @@ def test_joints_are_found_by_name_in_any_order() -> None:
 
 
 def test_a_free_ray_is_as_far_as_the_scanner_sees() -> None:
-    codec = ros.Codec("sensor_msgs/LaserScan", [(FIELDS[4], Topic("/s", "sensor_msgs/LaserScan"))])
+    codec = ros.Codec("sensor_msgs/LaserScan", [(FIELDS[4], Topic("/s", "sensor_msgs/LaserScan"))], idl.empty)
     message = codec.encode({"dog.scan": [1.0, 2.0, 3.0, math.inf, 1.0]}, 1.0)
     assert codec.decode(message)["dog.scan"].tolist() == [1.0, 2.0, 3.0, 3.0, 1.0]
 
@@ -162,7 +162,7 @@ def test_what_does_not_fit_is_refused_with_its_units(field: Field, topic: Topic,
 
 def test_each_part_has_its_attribute() -> None:
     for type, known in PARTS.items():
-        message = ros._EMPTY[type](idl.Header(idl.Time()))
+        message = idl.empty(type, 0.0, "")
         for part in known.values():
             holder, name = ros._holder(message, part.path)
             assert hasattr(holder, name)
