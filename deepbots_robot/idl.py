@@ -174,6 +174,14 @@ class Image(IdlStruct, typename="sensor_msgs::msg::dds_::Image_"):
 
 @final
 @dataclass
+class CompressedImage(IdlStruct, typename="sensor_msgs::msg::dds_::CompressedImage_"):
+    header: Header
+    format: str
+    data: sequence[uint8]
+
+
+@final
+@dataclass
 class MultiArrayDimension(IdlStruct, typename="std_msgs::msg::dds_::MultiArrayDimension_"):
     label: str
     size: uint32
@@ -199,6 +207,7 @@ TYPES: dict[str, Any] = {
     "geometry_msgs/Twist": Twist,
     "geometry_msgs/WrenchStamped": WrenchStamped,
     "nav_msgs/Odometry": Odometry,
+    "sensor_msgs/CompressedImage": CompressedImage,
     "sensor_msgs/Image": Image,
     "sensor_msgs/Imu": Imu,
     "sensor_msgs/JointState": JointState,
@@ -233,6 +242,7 @@ _EMPTY: Mapping[str, Any] = {
     "nav_msgs/Odometry": lambda header: Odometry(
         header, "", PoseWithCovariance(_pose(), [0.0] * 36), TwistWithCovariance(_twist(), [0.0] * 36)
     ),
+    "sensor_msgs/CompressedImage": lambda header: CompressedImage(header, "", []),
     "sensor_msgs/Image": lambda header: Image(header, 0, 0, "", 0, 0, []),
     "sensor_msgs/Imu": lambda header: Imu(header, Quaternion(), [0.0] * 9, Vector3(), [0.0] * 9, Vector3(), [0.0] * 9),
     "sensor_msgs/JointState": lambda header: JointState(header, [], [], [], []),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import math
+import struct
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -10,6 +12,8 @@ import numpy as np
 
 from deepbots_robot.topics import Field, Topic, part_of, parts
 
+_COMPRESSED = "sensor_msgs/CompressedImage"
+_MODES = {1: "L", 3: "RGB"}
 Empty = Callable[[str, float, str], Any]
 """Makes a message of zeros of a type, with a time in s and a frame."""
 _ENCODINGS = {1: "mono8", 3: "rgb8"}
@@ -37,7 +41,9 @@ class Codec:
         for field, part in zip(self.fields, self._parts, strict=True):
             value = np.asarray(values[field.name])
             holder, name = _holder(message, part.path)
-            if part.picture:
+            if self.type == _COMPRESSED:
+                message.format, message.data = "png", _as_png(value.astype(np.uint8))
+            elif part.picture:
                 rows, columns, channels = field.shape
                 message.height, message.width, message.step = rows, columns, columns * channels
                 message.encoding = _ENCODINGS[channels]
@@ -70,6 +76,8 @@ class Codec:
     def _value(self, message: Any, field: Field, part: Any) -> np.ndarray[Any, Any]:
         holder, name = _holder(message, part.path)
         value = getattr(holder, name)
+        if self.type == _COMPRESSED:
+            return _decompressed(bytes(message.data), field)
         if part.picture:
             return _picture(message, field)
         if part.by_joint:
@@ -120,6 +128,29 @@ def _picture(message: Any, field: Field) -> np.ndarray[Any, Any]:
         raise ValueError(f"{field.name} has {data.size} bytes in rows of {message.step}")
     found = data.reshape(rows, message.step)[:, : columns * channels].reshape(field.shape)
     return found[:, :, ::-1] if message.encoding == "bgr8" else found
+
+
+def _as_png(picture: np.ndarray[Any, Any]) -> bytes:
+    """The bytes of a PNG, which is small but for noise, and has the values of the camera."""
+    from PIL import Image
+
+    content = io.BytesIO()
+    Image.fromarray(picture[:, :, 0] if picture.shape[2] == 1 else picture).save(content, "PNG", compress_level=1)
+    return content.getvalue()
+
+
+def _decompressed(content: bytes, field: Field) -> np.ndarray[Any, Any]:
+    """A PNG or JPEG; its size is read before its pixels."""
+    from PIL import Image
+
+    rows, columns, channels = field.shape
+    try:
+        with Image.open(io.BytesIO(content), formats=("PNG", "JPEG")) as picture:
+            if picture.size != (columns, rows):
+                raise ValueError(f"{field.name} has {picture.width} x {picture.height} pixels, and not {columns} x {rows}")
+            return np.asarray(picture.convert(_MODES[channels]), np.uint8).reshape(field.shape)
+    except (OSError, SyntaxError, ArithmeticError, LookupError, struct.error, Image.DecompressionBombError) as error:
+        raise ValueError(f"{field.name} is no PNG or JPEG that can be read") from error
 
 
 def _set_scan(message: Any, type: str, field: Field) -> None:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -80,6 +81,8 @@ class Transport:
         Raises:
             ServeError: The package of the link is missing, or the address, the interface or a topic cannot be used.
         """
+        if any(topic.type == "sensor_msgs/CompressedImage" for _, topic in (*receives, *sends)) and find_spec("PIL") is None:
+            raise ServeError("pillow, which reads compressed images, is not installed; install it with: pip install pillow")
         if self.ros1:
             return self._ros1(receives, sends, robot=robot, about=about)
         package = "pyzmq" if self.zmq is not None else "websockets" if self.websocket is not None else "cyclonedds"

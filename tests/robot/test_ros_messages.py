@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from dataclasses import fields
 from typing import Any, get_args
@@ -121,6 +122,30 @@ def test_fields_come_back_from_the_bytes_of_their_messages() -> None:
         assert ros.stamp_of(again) in (12.25, None)
         for name, value in codec.decode(again).items():
             np.testing.assert_array_equal(value, values[name])
+
+
+@pytest.mark.parametrize("shape", [(48, 64, 3), (48, 64, 1)])
+def test_a_compressed_image_comes_back_and_what_is_none_is_refused(shape: tuple[int, int, int]) -> None:
+    image = pytest.importorskip("PIL.Image")
+    field = Field("dog.eye", "dog", "camera", "1", shape)
+    codec = ros.Codec("sensor_msgs/CompressedImage", [(field, Topic("/s", "sensor_msgs/CompressedImage"))], idl.empty)
+    value = np.linspace(0, 255, field.count).reshape(shape).astype(np.uint8)
+    message = codec.encode({"dog.eye": value}, 1.0)
+    again = idl.CompressedImage.deserialize(message.serialize(use_version_2=False))
+    np.testing.assert_array_equal(codec.decode(again)["dog.eye"], value)
+    content = io.BytesIO()
+    image.fromarray(value.squeeze()).save(content, "JPEG", quality=95)
+    message.data = content.getvalue()
+    assert np.abs(codec.decode(message)["dog.eye"].astype(int) - value).max() < 40
+    for wrong in (b"", message.data[:100], message.data[: len(message.data) // 2], b"GIF89a" + bytes(50)):
+        message.data = wrong
+        with pytest.raises(ValueError, match=r"dog.eye is no PNG or JPEG that can be read"):
+            codec.decode(message)
+    content = io.BytesIO()
+    image.new("L", (9000, 9000)).save(content, "PNG")
+    message.data = content.getvalue()
+    with pytest.raises(ValueError, match=r"dog.eye has 9000 x 9000 pixels, and not 64 x 48"):
+        codec.decode(message)
 
 
 def test_joints_are_found_by_name_in_any_order() -> None:
