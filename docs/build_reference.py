@@ -379,7 +379,7 @@ def _rules() -> str:
         "",
         _NOTE,
         "",
-        "Errors keep a scenario from being compiled; warnings do not, and can be suppressed. [Diagnostics](../diagnostics.md) describes"
+        "Errors keep a scenario from being compiled; warnings do not, and can be suppressed. [Findings](../diagnostics.md) describes"
         " the format of findings and the exit codes. A rule in preview may still give false positives, and runs with `--preview`. Rules"
         " that need a simulation run with [`--deep`](../linting.md#simulating), those that search for exploits of the reward with"
         " [`--exploits`](../linting.md#searching-for-exploits).",
