@@ -22,9 +22,9 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
         yield f"| {' | '.join(row)} |"
 
 
-def wrapped(text: str) -> list[str]:
+def wrapped(text: str, indent: str = "") -> list[str]:
     """A paragraph in lines of the width of the other pages."""
-    return textwrap.wrap(text, WIDTH, break_long_words=False, break_on_hyphens=False)
+    return textwrap.wrap(text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def number(value: float, digits: int = 4) -> str:
@@ -46,9 +46,9 @@ def card_title(experiment: Experiment) -> str:
 
 
 def share(entry: Entry) -> str:
-    """`99.2 % (98.9 .. 99.4 %)`."""
+    """`99.2 % (98.9 .. 99.4)`."""
     rate, low, high = (f"{100 * value:.1f}".removesuffix(".0") for value in (entry["success_rate"], *entry["success_interval"]))
-    return f"{rate} % ({low} .. {high} %)"
+    return f"{rate} % ({low} .. {high})"
 
 
 def mean_return(entry: Entry) -> str:

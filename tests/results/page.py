@@ -35,17 +35,17 @@ BESIDE = "The page of each task lists its differences from the paper. The pit of
 OTHERS = """\
 ## Other scenarios
 
-The result is the share of held-out episodes that succeed, or their mean return (without %). CPU is the median of the trainings.
+The result is the success in held-out episodes, or their mean return (without %). CPU is the median of the trainings.
 """
 METHOD = """\
 ## Method
 
-- **Seeds** from 101 on are reported; none chose a setting. Where earlier seeds led to a change, the card has their results.
+- **Seeds** from 101 on are reported; none was used to choose a setting. Where earlier seeds led to a change, the card has their results.
 - **Held-out episodes** start from seeds that no training uses.
-- **Intervals** have a confidence of 95 %. For trainings, they are Student's over the seeds. For held-out episodes, they are Wilson's
-  (success) or Student's (return) over the episodes of all seeds, and leave out how trainings differ.
+- **Intervals** have a confidence of 95 %: for trainings, Student's over the seeds; for held-out episodes, Wilson's (success) or
+  Student's (return) over the episodes of all seeds, which leave out how trainings differ.
 - **Simulated hours** count the steps of all copies of the environment.
-- **CPU** covers all processes of a training with its evaluation, on two cores of x86_64. It varies by a tenth or two.\
+- **CPU** covers all processes of a training and its evaluation, on two cores of x86_64. It varies by a tenth or two.\
 """
 
 
@@ -81,7 +81,7 @@ def _measured(places: Places, experiments: Experiments) -> tuple[list[Standing],
 def _results(standings: Sequence[Standing], tables: Mapping[str, Entry]) -> str:
     lines = [HEAD, *table(("task", "figure", "paper", "deepbots"), _beside(standings)), "", BESIDE, "", OTHERS]
     lines += [*table(("scenario", "result", "random", "seeds", "CPU, s"), _others(standings)), "", *_unmeasured(standings), METHOD]
-    return "\n".join([*lines, *wrapped(f"- **Bars**: {_bars(standings, tables, linked=True)}")]) + "\n"
+    return "\n".join([*lines, *wrapped(f"- **Bars**: {_bars(standings, tables, linked=True)}", indent="  ")]) + "\n"
 
 
 def _beside(standings: Sequence[Standing]) -> Iterator[tuple[str, ...]]:
@@ -92,7 +92,7 @@ def _beside(standings: Sequence[Standing]) -> Iterator[tuple[str, ...]]:
             is_share = row.figure.what == "success_rate"
             told = [f"{100 * one:.1f}".removesuffix(".0") if is_share else number(one, 3) for one in (value, *(interval or ()))]
             unit = " %" if is_share else ""
-            yield link, row.words, row.paper, told[0] + unit + (f" ({told[1]} .. {told[2]}{unit})" if interval else "")
+            yield link, row.words, row.paper, told[0] + unit + (f" ({told[1]} .. {told[2]})" if interval else "")
             link = ""
 
 
@@ -128,9 +128,9 @@ def _bars(standings: Sequence[Standing], tables: Mapping[str, Entry], *, linked:
         met = _met(tables[part.name])
         words.update("met" if one else "**missed**" for one in met)
         missed += [f"[{part.title}](reference/measurements.md#{slug(part.title)})"] * (not all(met))
-    told = ", ".join(f"{words[word]} {word.strip('*')}" for word in ("met", "**missed**", "not measured"))
     where = f" ({', '.join(missed)})" if linked and missed else ""
-    text = f"{told}{where}; of {words['reached'] + words['not reached']} further goals (stretch), {words['reached']} reached; "
+    text = f"{words['met']} met, {words['**missed**']} missed{where}, {words['not measured']} not measured; "
+    text += f"of {words['reached'] + words['not reached']} further goals (stretch), {words['reached']} reached; "
     hand = _by_hand()
     text += f"measured {'[by hand](measured.md)' if linked else 'by hand'}: "
     text += f"{', '.join(f'{hand[word]} {word}' for word in ('met', 'missed', 'not shown'))}."
