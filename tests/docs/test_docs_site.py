@@ -200,6 +200,10 @@ def test_a_browser_filters_the_gallery_finds_words_and_fits_pages_to_a_phone(bui
         assert tab.run(shown) == ["Hover"]
         tab.run(choose.format(2, "SAC"))
         assert tab.run(shown) == []
+        for index in range(3):
+            tab.run(choose.format(index, ""))
+        tab.run(choose.format(3, "CPU over 5 min"))
+        assert tab.run(shown) == ["FindAndAvoid", "FindBallRandom", "PandaPush", "A1Velocity", "Tag"]
         tab.call("Emulation.setDeviceMetricsOverride", width=380, height=800, deviceScaleFactor=1, mobile=False)
         for name in ("index", "worlds", "start", "results", "reference/keys", "reference/commands", "scenarios/quadruped", "agents"):
             tab.call("Page.navigate", url=(built_site / f"{name}.html").as_uri())
