@@ -25,7 +25,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from pathlib import Path, PurePath
+from pathlib import Path, PurePosixPath
 from typing import Any, Literal, Protocol
 
 Record = Mapping[str, Any]
@@ -316,7 +316,8 @@ class Experiment:
     """All that is measured of one scenario: a shipped one by name, or a file by its path from the root of the repository.
 
     `prose` and `paper` are for the page: what the task is, and what is known of it elsewhere. `curve` is what the picture shows: the mean
-    return of 100 episodes, or their share of successes.
+    return of 100 episodes, or their share of successes. `engines` are compared by their speed. Records of a `group` have a folder of
+    its name.
     """
 
     scenario: str
@@ -328,11 +329,13 @@ class Experiment:
     paper: str = ""
     marks: tuple[Mark, ...] = ()
     curve: Literal["return", "success"] = "return"
+    engines: tuple[str, ...] = ()
+    group: str = ""
 
     @property
     def name(self) -> str:
         """Of its record, its picture and its runs."""
-        return PurePath(self.scenario).stem
+        return str(PurePosixPath(self.group, PurePosixPath(self.scenario).stem))
 
     def training(self, name: str) -> Training:
         return next(training for training in self.trainings if training.name == name)
