@@ -58,7 +58,7 @@ def _training(algorithm: str, engine: str, *sets: str) -> Training:
 
 
 def own(algorithm: str, engine: str = "mujoco") -> Cell:
-    return Cell(algorithm, _training(algorithm, engine), "`train` section")
+    return Cell(algorithm, _training(algorithm, engine), "the `train` section of the scenario")
 
 
 def ppo(gamma: float, *, worlds: int = 8, epochs: int = 10, batch: int = 128, rate: str = "1e-3") -> Cell:
@@ -75,7 +75,9 @@ def off_policy(algorithm: str, gamma: float, *, engine: str = "mujoco", hindsigh
     values = f"{special}, batch_size: 256, learning_rate: 1e-3, gamma: {gamma}, network: {{hidden: [128, 128], activation: relu}}"
     steps = UPDATES[algorithm] * (1 if hindsight else 2)
     section = f"train={{algorithm: {algorithm}, total_timesteps: {steps}, {values}}}"
-    return Cell(algorithm, _training(algorithm, engine, section), f"chosen learner, SAC{' with hindsight' if hindsight else ''}")
+    return Cell(
+        algorithm, _training(algorithm, engine, section), f"values of the chosen learner (SAC{' with hindsight' if hindsight else ''})"
+    )
 
 
 def _no_ranges(instead: str = "") -> tuple[Cell, ...]:

@@ -18,7 +18,7 @@ from tests.results.page import Entry, Standing, count, measured_on, number, tabl
 
 HELD_OUT = Evaluation().name
 ENGINE_NAMES = {"pybullet": "PyBullet", "mujoco": "MuJoCo"}
-ABSENT = {"DQN": "continuous actions", "DDPG": "not asked for: only FindBall recommends it"}
+ABSENT = {"DQN": "continuous actions", "DDPG": "not compared"}
 """Why a task has no cell for an algorithm that others have."""
 
 HEAD = f"""\
@@ -152,7 +152,8 @@ def _headline(found: Sequence[Row]) -> str:
 def _summary(tasks: Sequence[Task], found: Mapping[str, list[Row]]) -> Iterator[str]:
     """A row for each task: what is held out, and the CPU time until solved."""
     names = list(dict.fromkeys(cell.algorithm for task in tasks for cell in task.cells))
-    yield "Success held out, or the mean return in a task without successes, with its interval; then the CPU time until solved."
+    text = "Success held out, or the mean return in a task without successes, with its interval; then the CPU time until solved."
+    yield from wrapped(f"{text} DDPG is compared where a scenario recommends it.")
     yield ""
     body = []
     for task in tasks:
@@ -180,7 +181,17 @@ def _section(task: Task, found: Sequence[Row], record: Entry) -> Iterator[str]:
         yield f"Engine: {ENGINE_NAMES[task.engine]}."
     yield ""
     yield from table(
-        ("algorithm", "success (95 %)", "mean return (95 %)", "solved", "steps until solved", "hours", "CPU", "CPU of a training", "limit"),
+        (
+            "algorithm",
+            "success (95 %)",
+            "mean return (95 %)",
+            "solved",
+            "steps until solved",
+            "simulated hours",
+            "CPU until solved",
+            "CPU of a training",
+            "limit",
+        ),
         [_cells(row) for row in found],
     )
     yield ""
@@ -189,7 +200,7 @@ def _section(task: Task, found: Sequence[Row], record: Entry) -> Iterator[str]:
     for row in found:
         if row.cell.training:
             command = measure.asked_training(task.scenario, row.cell.training, "N").command
-            yield f"- {row.name}, {row.cell.learner}: `{command}`"
+            yield f"- {row.cell.algorithm}, {row.cell.learner}: `{command}`"
     missing = [row.cell.algorithm for row in found if row.cell.training and len(row.entries) < len(SEEDS)]
     again = f"`python -m tests.results {task.experiment.name}`"
     yield ""
