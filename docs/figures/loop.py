@@ -23,7 +23,8 @@ def draw() -> str:
     down, up = LEFT + 36, LEFT + WIDTH - 36
     drawing.line([(down, ABOVE + HEIGHT), (down, BELOW - 2)], "blue", arrow=True)
     drawing.text((down + 10, 108), "action", "blue")
-    drawing.text((down + 10, 126), " or ".join(option.name for option in drive.options))
+    for row, option in enumerate(drive.options):
+        drawing.text((down + 10, 126 + 18 * row), f"{'or ' * bool(row)}{option.name}")
     drawing.line([(up, BELOW), (up, ABOVE + HEIGHT + 2)], "green", arrow=True)
     drawing.text((up - 10, 96), "observation", "green", anchor="end")
     drawing.text((up - 10, 114), f"{names[0]}, {names[1]},", anchor="end")
