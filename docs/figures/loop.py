@@ -14,7 +14,9 @@ def draw() -> str:
     names = [one.name.removeprefix("cart.").replace("_", " ") for one in program.agent.numbers]
     (drive,) = program.agent.action
     (term,) = program.agent.reward
-    drawing = Drawing(380, 286, "The policy chooses an action from the observation; the world answers with a reward and the next observation")
+    drawing = Drawing(
+        380, 286, "The policy chooses an action from the observation; the world answers with a reward and the next observation"
+    )
     middle = LEFT + WIDTH / 2
     for top, color, name, what in ((ABOVE, "blue", "policy", "a neural network"), (BELOW, "green", "world", "cart, pole and physics")):
         drawing.box(LEFT, top, WIDTH, HEIGHT, color)
