@@ -27,6 +27,7 @@ TOLERANCE = 1e-5
 _MAX_JSON_BYTES = 10_000_000
 _MAX_GRAPH_BYTES = 500_000_000
 _MAX_PARITY_BYTES = 500_000_000
+_MAX_DESCRIPTION_BYTES = 1 << 26
 
 Array = NDArray[Any]
 _NUMPY_TYPES = {"float64": np.float64, "float32": np.float32, "int64": np.int64, "bool": np.bool_, "uint8": np.uint8}
@@ -55,7 +56,7 @@ def load(folder: str | Path) -> Bundle:
         for name, found in content.items():
             if hashlib.sha256(found).hexdigest() != info.files.get(name):
                 raise BundleError(f"{name} is not the file that was exported")
-        bundle = Bundle(info, content[GRAPH_NAME])
+        bundle = Bundle(info, content[GRAPH_NAME], folder)
         replay(bundle, read_parity(folder / PARITY_NAME, info))
     except BundleError as error:
         raise BundleError(f"{folder}: {error}; export the run again") from error
@@ -94,16 +95,17 @@ class Bundle:
 
     Attributes:
         info: The content of bundle.json.
+        folder: Where it was read from; None for one that was not.
     """
 
-    def __init__(self, info: BundleInfo, graph: bytes) -> None:
+    def __init__(self, info: BundleInfo, graph: bytes, folder: Path | None = None) -> None:
         """The session of a graph that fits `info`.
 
         Raises:
             BundleError: The graph cannot be run, or has other inputs, outputs or metadata than `info` says.
         """
         onnx_file.require_plain(graph)
-        self.info = info
+        self.info, self.folder = info, folder
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1  # a small network takes longer on several threads
         options.log_severity_level = 4  # what onnxruntime writes to the terminal is raised as well
@@ -123,6 +125,22 @@ class Bundle:
     def start(self) -> Policy:
         """The policy at the start of an episode, with a memory of its own."""
         return Policy(self)
+
+    def description(self) -> dict[str, bytes]:
+        """What says what the values mean: bundle.json, the scenario as `resolved.yaml`, and its files in `inputs`.
+
+        The scenario is left out where it is missing or too large: a policy acts without it.
+        """
+        found = {BUNDLE_NAME: model.encode(self.info)}
+        if self.folder is None:
+            return found
+        inputs = sorted(path for path in (self.folder / "inputs").rglob("*") if path.is_file())
+        paths = {"resolved.yaml": self.folder / "scenario.yaml", **{path.relative_to(self.folder).as_posix(): path for path in inputs}}
+        try:
+            files = {name: _read(path, _MAX_DESCRIPTION_BYTES) for name, path in paths.items()}
+        except BundleError:
+            return found
+        return found | files if sum(map(len, files.values())) <= _MAX_DESCRIPTION_BYTES else found
 
 
 def _differences(info: BundleInfo, inputs: Sequence[Any], outputs: Sequence[Any]) -> Iterator[str]:

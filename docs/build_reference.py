@@ -275,10 +275,10 @@ def _functions() -> str:
         "",
         _NOTE,
         "",
-        "[Units](../units.md) and [expressions](../language.md#expressions) describe their use. The examples are about one scenario: a small two-wheeled `rover` with"
-        " a camera `eye` and rays `near`, its actions `gas` and `turn`, a `ball`, and a painted line `track`. The unit column gives the"
-        " unit in which a value is stored; 1 is a plain number. *fixed*, *episode* and *step* have the meaning that they have in [the"
-        " keys](keys.md).",
+        "[Units](../units.md) and [expressions](../language.md#expressions) describe their use. The examples are about one scenario: a"
+        " small two-wheeled `rover` with a camera `eye` and rays `near`, its actions `gas` and `turn`, a `ball`, and a painted line"
+        " `track`. The unit column gives the unit in which a value is stored; 1 is a plain number. *fixed*, *episode* and *step* have"
+        " the meaning that they have in [the keys](keys.md).",
         "",
         "## Units",
         "",

@@ -25,7 +25,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from pathlib import Path, PurePath
+from pathlib import Path, PurePosixPath
 from typing import Any, Literal, Protocol
 
 Record = Mapping[str, Any]
@@ -326,7 +326,8 @@ class Experiment:
 
     `prose` and `paper` are paragraphs of its card: how to read the figures, and the results of others. `beside` are rows of the table
     beside the paper. `case` is the one shown on the page of results; the scenario itself by default. `curve` is what the
-    picture shows: the mean return of 100 episodes, or their share of successes.
+    picture shows: the mean return of 100 episodes, or their share of successes. `engines` are compared by their speed. Records of a
+    `group` have a folder of its name.
     """
 
     scenario: str
@@ -340,11 +341,13 @@ class Experiment:
     case: str | None = None
     marks: tuple[Mark, ...] = ()
     curve: Literal["return", "success"] = "return"
+    engines: tuple[str, ...] = ()
+    group: str = ""
 
     @property
     def name(self) -> str:
         """Of its record, its picture and its runs."""
-        return PurePath(self.scenario).stem
+        return str(PurePosixPath(self.group, PurePosixPath(self.scenario).stem))
 
     def training(self, name: str) -> Training:
         return next(training for training in self.trainings if training.name == name)

@@ -141,7 +141,7 @@ def test_a_name_that_is_neither_a_scenario_nor_a_part_is_told_with_those_there_a
 
 
 def places_in(folder: Path) -> Places:
-    return Places(*(folder / name for name in ("records", "page.md", "measurements.md", "pictures", "runs")))
+    return Places(*(folder / name for name in ("records", "page.md", "measurements.md", "pictures", "runs", "benchmark.md")))
 
 
 def test_what_is_missing_can_be_asked_for_without_measuring_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -75,8 +75,8 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
     return {PurePosixPath(name): content for name, content in files.items()}
 
 
-def isaac_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
-    """The files of `export --to isaac-lab`.
+def files_for(run: Run, name: ModelName, reader: str) -> dict[PurePosixPath, bytes]:
+    """The files of `export --to` for a reader: `isaac-lab`, `lerobot` or `leapp`.
 
     Raises:
         MissingExtraError: onnx or what learns is not installed.
@@ -84,11 +84,14 @@ def isaac_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         UsageError: The scenario does not fit this form.
     """
     try:
-        from deepbots_cli.insight.export import isaac
+        from deepbots_cli.insight.export import isaac, leapp, lerobot
         from deepbots_cli.learning import policy
     except ModuleNotFoundError as error:
         raise MissingExtraError("export", "exporting a policy") from error
-    return isaac.isaac_files(run.program, policy.loaded(run, name))
+    if reader == "leapp":
+        return leapp.leapp_files(bundle_files(run, name))
+    emit = isaac.isaac_files if reader == "isaac-lab" else lerobot.lerobot_files
+    return emit(run.program, policy.loaded(run, name))
 
 
 def _info(run: Run, name: ModelName, step: ControlStep) -> BundleInfo:
