@@ -105,7 +105,7 @@ def card(standing: Standing) -> str:
         "```",
         "",
     ]
-    return "\n".join([*lines, *measured_on(measured), "", "[Method](../results.md#method)."]) + "\n"
+    return "\n".join([*lines, *measured_on(measured), "", "[Method](../results.md#method), [all scenarios](../worlds.md)."]) + "\n"
 
 
 def _headline(standing: Standing) -> Iterator[str]:
