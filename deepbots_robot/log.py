@@ -113,8 +113,11 @@ class LogWriter:
             self._file.close()
 
 
-def read_log(path: Path) -> Iterator[tuple[str, float, dict[str, Any]]]:
+def read_log(path: Path, note: Callable[[str], object] = lambda text: None) -> Iterator[tuple[str, float, dict[str, Any]]]:
     """Topic, stamp (s) and content of each message, up to where the file ends.
+
+    Args:
+        note: Called after the last message if the file is longer than `MAX_READ`, or has no end, as after a kill or where it is damaged.
 
     Raises:
         OSError: The file cannot be read.
@@ -125,12 +128,23 @@ def read_log(path: Path) -> Iterator[tuple[str, float, dict[str, Any]]]:
     if not content.startswith(_MAGIC[: len(content)]):
         raise ValueError(f"{path} is not a log of a robot")
     topics: dict[int, str] = {}
-    with suppress(McapError, struct.error, EOFError, KeyError, ValueError):  # the end of a process that was killed
+    count, ended = 0, False
+    with suppress(McapError, struct.error, EOFError, KeyError, ValueError, RecursionError):  # the end of a process that was killed
         for found in _records(content):
+            ended = isinstance(found, records.Footer)
             if isinstance(found, records.Channel):
                 topics[found.id] = found.topic
             elif isinstance(found, records.Message):
-                yield topics[found.channel_id], found.log_time / _NS, json.loads(found.data)
+                message = json.loads(found.data)
+                if not isinstance(message, dict):
+                    break
+                yield topics[found.channel_id], found.log_time / _NS, message
+                count += 1
+    if not ended:
+        reason = (
+            f"is longer than {MAX_READ >> 20} MiB" if len(content) == MAX_READ else "has no end: its process was killed, or it is damaged"
+        )
+        note(f"{path} {reason}; its first {count:,} messages are used")
 
 
 def read_attached(path: Path) -> dict[str, bytes]:

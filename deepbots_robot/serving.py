@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deepbots_robot import model
+from deepbots_robot.about import About, pace
 from deepbots_robot.intake import Input
 from deepbots_robot.link import Array, Link
 from deepbots_robot.server import Output, Server
@@ -44,8 +45,15 @@ class Transport:
     def is_ros(self) -> bool:
         return self.zmq is None and self.websocket is None
 
-    def open(self, receives: Sequence[tuple[Field, Topic]], sends: Sequence[tuple[Field, Topic]], *, robot: bool) -> Link:
-        """One end of the link.
+    def open(
+        self,
+        receives: Sequence[tuple[Field, Topic]],
+        sends: Sequence[tuple[Field, Topic]],
+        *,
+        robot: bool,
+        about: About | None = None,
+    ) -> Link:
+        """One end of the link, with what it says about itself.
 
         Raises:
             ServeError: The package of the link is missing, or the address, the interface or a topic cannot be used.
@@ -56,14 +64,14 @@ class Transport:
             if self.zmq is not None:
                 from deepbots_robot.zeromq import ZmqLink
 
-                return ZmqLink(self.zmq, *fields, robot=robot)
+                return ZmqLink(self.zmq, *fields, robot=robot, about=about)
             if self.websocket is not None:
                 from deepbots_robot.websocket import WebSocketLink
 
-                return WebSocketLink(self.websocket, *fields, robot=robot)
+                return WebSocketLink(self.websocket, *fields, robot=robot, about=about)
             from deepbots_robot.dds import RosLink
 
-            return RosLink(receives, sends, robot=robot, interface=self.interface, domain=self.domain)
+            return RosLink(receives, sends, robot=robot, interface=self.interface, domain=self.domain, about=about)
         except ModuleNotFoundError as error:
             raise ServeError(f"{package} is not installed, or lacks {error.name}; install it with: pip install {package}") from None
         except ValueError as error:
@@ -177,7 +185,9 @@ def serve(
     ]
     writer = _opened(log, bundle)
     try:
-        link = transport.open(receives, sends, robot=False)
+        scenario = bundle.info.scenario
+        about = About("policy", scenario.name, scenario.task_digest, pace(lockstep=lockstep, speed=speed))
+        link = transport.open(receives, sends, robot=False, about=about)
     except ServeError:
         if writer is not None:
             writer.close()
@@ -193,6 +203,15 @@ def serve(
         if writer is not None:
             writer.close()
     return server.report()
+
+
+def nothing_served(report: Mapping[str, Any], seconds: float | None) -> str:
+    """The sentence about a time that passed without a step; empty if there was one, or if the server ended by a signal."""
+    if seconds is None or report["steps"]:
+        return ""
+    missing = ", ".join(report["missing"][:5])
+    because = f": no value of {missing} came" if missing else ""
+    return f"the policy acted in no step in {seconds:g} s{because}"
 
 
 def _opened(path: Path | None, bundle: Bundle) -> LogWriter | None:
@@ -234,7 +253,7 @@ class _Notes:
         if self._log is not None:
             self._log.event(stamp, kind, text)
         now = time.monotonic()
-        if kind != "episode" and now - self._said.get(kind, -10.0) > 1.0:
+        if kind == "remark" or (kind != "episode" and now - self._said.get(kind, -10.0) > 1.0):
             self._said[kind] = now
             self._note({"safe": "safe posture: ", "refused": "refused: "}.get(kind, "") + text)
 

@@ -15,7 +15,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
-from deepbots_cli.insight.robot_log import compare_log, distance
+from deepbots_cli.insight.robot_log import compare_log, distance, logged_episodes
 from deepbots_cli.learning import policy, train
 from deepbots_cli.learning.run import Run
 from deepbots_cli.view.episodes import Showing
@@ -108,14 +108,43 @@ def test_the_episodes_of_a_log_are_listed_and_explained(tmp_path: Path, capsys: 
     assert main(["replay", str(path), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["episodes"]
     assert [(each["number"], each["begun"], each["steps"], each["safe_steps"]) for each in found] == [(0, 0.0, 1, 0), (1, 10.0, 1, 1)]
+    assert [each["seconds"] for each in found] == [0.5, 0.5]  # without the time in which no policy acted
     assert main(["diagnose", str(path), "--episode", "1"]) == 0
     shown = capsys.readouterr().out
-    assert "episode 1: 1 steps of the policy in 0.6 s; median answer 2.00 ms" in shown
+    assert "episode 1: 1 steps of the policy in 0.5 s; median answer 2.00 ms" in shown
     assert "0.60 s  safe posture: no new value of cart.pole_angle" in shown
     assert main(["diagnose", str(path), "--episode", "7"]) == 2
     assert "has no episode 7; list them with: deepbots replay" in capsys.readouterr().err
     assert main(["view", str(path)]) == 2
     assert "is the log of a robot without the scenario" in capsys.readouterr().err
+
+
+def test_episodes_of_a_robot_that_restarts_have_numbers_of_their_own(tmp_path: Path) -> None:
+    from deepbots_robot.log import LogWriter
+
+    path = tmp_path / "log.mcap"
+    writer = LogWriter(path, {}, clock=lambda: 0.0)
+    writer.event(9.0, "refused", "a message")
+    for begun in (10.0, 20.0, 30.0):
+        writer.event(begun, "episode", "0")
+        writer.step(begun + 1.0, {}, {"cart.wheels": np.zeros(4)}, 0.002, "policy")
+    writer.close()
+    found = logged_episodes(path)
+    assert [(each.number, each.steps, len(each.events)) for each in found] == [(0, 1, 1), (1, 1, 0), (2, 1, 0)]
+
+
+def test_a_log_that_a_kill_cut_is_used_with_a_note(run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = logged(run, tmp_path / "whole.mcap", lambda time, angle: angle)
+    cut = tmp_path / "cut.mcap"
+    content = whole.read_bytes()
+    cut.write_bytes(content[: len(content) // 2])
+    for command in (["replay", str(cut)], ["diagnose", str(cut)], ["transfer", str(run.path), "--log", str(cut)]):
+        assert main(command) == 0
+        told = capsys.readouterr()
+        found = re.findall(r"cut.mcap has no end: its process was killed, or it is damaged; its first (\d+) messages are used", told.err)
+        assert [100 < int(number) < 300 for number in found] == [True]
+        assert main([*command[:-1], str(whole)]) == 0
+        assert "has no end" not in capsys.readouterr().err
 
 
 # In the page

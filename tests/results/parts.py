@@ -36,7 +36,7 @@ class Holding:
 
 @dataclass(frozen=True)
 class Part:
-    """A section of the page with its tables; `figure` heads the column of what was measured."""
+    """A section of docs/reference/measurements.md with its tables; `figure` heads the column of what was measured."""
 
     name: str
     title: str

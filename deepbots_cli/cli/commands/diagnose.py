@@ -102,7 +102,7 @@ def _explain_log(path: Path, number: int | str | None, *, as_json: bool) -> bool
 
     if not is_robot_log(path):
         return False
-    found = [each for each in logged_episodes(path) if number is None or str(each.number) == str(number)]
+    found = [each for each in logged_episodes(path, terminal.note) if number is None or str(each.number) == str(number)]
     if not found:
         raise UsageError(f"{path} has no episode {number}; list them with: deepbots replay {quote(str(path))}")
     data = [{**vars(each), "events": [event._asdict() for event in each.events]} for each in found]

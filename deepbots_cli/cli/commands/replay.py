@@ -121,7 +121,7 @@ def command(
 def _list_log(path: Path, *, as_json: bool) -> None:
     from deepbots_cli.insight.robot_log import logged_episodes
 
-    found = logged_episodes(path)
+    found = logged_episodes(path, terminal.note)
     rows = [
         {
             "episode": each.number,
