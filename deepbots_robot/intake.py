@@ -157,6 +157,11 @@ class Intake:
             return self.missing()
         return [name for name, each in self.inputs.items() if (now - self._states[name].received) * self._speed > each.max_age]
 
+    def ages(self, now: float) -> dict[str, float]:
+        """The time in s since the newest value of each input came; inputs that never had one are left out."""
+        speed = self._speed or 1.0
+        return {name: (now - state.received) * speed for name, state in self._states.items() if state.value is not None}
+
     def missing(self) -> list[str]:
         """The inputs that never had a value."""
         return [name for name, state in self._states.items() if state.value is None and self.inputs[name].is_needed]

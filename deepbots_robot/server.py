@@ -61,7 +61,15 @@ class Policy(Protocol):
 class Log(Protocol):
     """Takes what happens; see `log.py`."""
 
-    def step(self, stamp: float, values: Mapping[str, Array], commands: Mapping[str, Array], answer: float, posture: str) -> None: ...
+    def step(
+        self,
+        stamp: float,
+        values: Mapping[str, Array],
+        commands: Mapping[str, Array],
+        answer: float,
+        posture: str,
+        ages: Mapping[str, float] = {},
+    ) -> None: ...
 
     def event(self, stamp: float, kind: str, text: str) -> None: ...
 
@@ -246,7 +254,7 @@ class Server:
             self.answers.append(answer)
         self._pace(now)
         if self._log is not None:
-            self._log.step(self._stamp(), values, commands, answer, "policy")
+            self._log.step(self._stamp(), values, commands, answer, "policy", self.intake.ages(now))
 
     def _send_safe(self, kind: str, reason: str) -> None:
         now = self._clock()
@@ -259,7 +267,7 @@ class Server:
         self._send(commands)
         self._pace(now)
         if self._log is not None:
-            self._log.step(self._stamp(), {}, commands, 0.0, "safe")
+            self._log.step(self._stamp(), {}, commands, 0.0, "safe", self.intake.ages(now))
 
     def _send(self, commands: Mapping[str, Array]) -> None:
         self._last_sent, self._sent_at = commands, self._clock()

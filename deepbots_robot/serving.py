@@ -267,7 +267,8 @@ def _opened(path: Path | None, bundle: Bundle) -> LogWriter | None:
     try:
         from deepbots_robot.log import LogWriter
 
-        return LogWriter(path, {"scenario": bundle.info.scenario.name, "digest": bundle.info.scenario.digest})
+        about = {"scenario": bundle.info.scenario.name, "digest": bundle.info.scenario.digest}
+        return LogWriter(path, about, files=bundle.description())
     except ModuleNotFoundError as error:
         raise ServeError(f"{error.name} is not installed; install it with: pip install {error.name}") from None
     except FileExistsError:
@@ -283,9 +284,17 @@ class Notes:
         self._log, self._note = log, note
         self._said: dict[str, float] = {}
 
-    def step(self, stamp: float, values: Mapping[str, Array], commands: Mapping[str, Array], answer: float, posture: str) -> None:
+    def step(
+        self,
+        stamp: float,
+        values: Mapping[str, Array],
+        commands: Mapping[str, Array],
+        answer: float,
+        posture: str,
+        ages: Mapping[str, float] = {},
+    ) -> None:
         if self._log is not None:
-            self._log.step(stamp, values, commands, answer, posture)
+            self._log.step(stamp, values, commands, answer, posture, ages)
 
     def event(self, stamp: float, kind: str, text: str) -> None:
         if self._log is not None:

@@ -71,21 +71,6 @@ class LoggedEpisode:
         return float(np.median(self.answers)) if self.answers else None
 
 
-def is_robot_log(path: Path) -> bool:
-    """Whether a file is the log of `deepbots serve`, and no recording of a simulation."""
-    try:
-        from mcap import records
-        from mcap.stream_reader import StreamReader
-    except ModuleNotFoundError:
-        return False
-    try:
-        with path.open("rb") as file:
-            first = islice(StreamReader(file, record_size_limit=1 << 20).records, 8)
-            return any(isinstance(found, records.Metadata) and found.name == "deepbots_robot" for found in first)
-    except Exception:  # noqa: BLE001  mcap raises errors of many kinds for a file that is no MCAP file
-        return False
-
-
 def logged_episodes(path: Path, note: Callable[[str], object] = lambda text: None) -> list[LoggedEpisode]:
     """The episodes of a log, in order. Commands before the first one are an episode of their own; other events then belong to the first.
 

@@ -97,7 +97,8 @@ def command(
 
 def _explain_log(path: Path, number: int | str | None, *, as_json: bool) -> bool:
     """Print what happened in the log of a robot, in one episode or in all; False for a recording of a simulation."""
-    from deepbots_cli.insight.robot_log import explain_log, is_robot_log, logged_episodes
+    from deepbots_cli.insight.robot_log import explain_log, logged_episodes
+    from deepbots_cli.rollout.robot_logs import is_robot_log
 
     if not is_robot_log(path):
         return False
