@@ -125,3 +125,9 @@ def test_what_cannot_be_served_is_said_in_a_sentence(
     assert said in told
     assert "Traceback" not in told
     assert os.listdir(tmp_path) == []
+
+
+def test_a_simulated_robot_needs_no_torch() -> None:
+    code = "import sys, deepbots_cli.insight.robot, deepbots_cli.insight.real_robot; print('torch' in sys.modules)"
+    with running("-c", code) as process:
+        assert process.communicate(timeout=60)[0] == "False\n"
