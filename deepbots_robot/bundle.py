@@ -28,6 +28,7 @@ _MAX_JSON_BYTES = 10_000_000
 _MAX_GRAPH_BYTES = 500_000_000
 _MAX_PARITY_BYTES = 500_000_000
 _MAX_DESCRIPTION_BYTES = 1 << 26
+_MAX_RATIO = 10_000
 
 Array = NDArray[Any]
 _NUMPY_TYPES = {"float64": np.float64, "float32": np.float32, "int64": np.int64, "bool": np.bool_, "uint8": np.uint8}
@@ -122,9 +123,23 @@ class Bundle:
             raise BundleError(f"{GRAPH_NAME} and {BUNDLE_NAME} are not of the same export")
         self.output_names = tuple(entry.name for entry in outputs)
 
-    def start(self) -> Policy:
-        """The policy at the start of an episode, with a memory of its own."""
-        return Policy(self)
+    def start(self, rate_hz: float | None = None) -> Policy:
+        """The policy at the start of an episode, with a memory of its own.
+
+        Args:
+            rate_hz: How often `step` is called per second of the robot, by default at the rate of the bundle. In a loop that is n times
+                faster, the policy acts in every nth call, beginning with the first, and returns its last commands in between.
+
+        Raises:
+            BundleError: The rate is no whole multiple of that of the bundle.
+        """
+        every = 1.0 if rate_hz is None else rate_hz / self.info.rate_hz
+        if not (0.999 <= every <= _MAX_RATIO and abs(every - round(every)) <= 1e-3 * every):
+            raise BundleError(
+                f"the policy acts at {self.info.rate_hz:g} Hz, and a loop of {rate_hz:g} Hz is no whole multiple of it; call it at"
+                f" {self.info.rate_hz:g} Hz, or {2 * self.info.rate_hz:g} Hz, or train again with another timestep"
+            )
+        return Policy(self, round(every))
 
     def description(self) -> dict[str, bytes]:
         """What says what the values mean: bundle.json, the scenario as `resolved.yaml`, and its files in `inputs`.
@@ -171,7 +186,9 @@ class Policy:
     One policy acts for one robot: it remembers what it needs from the steps before.
     """
 
-    def __init__(self, bundle: Bundle) -> None:
+    def __init__(self, bundle: Bundle, every: int = 1) -> None:
+        """Acts in every so manyth call of `step`."""
+        self._every = every
         self._run = bundle.session.run
         self._inputs = [(entry.name, entry.shape, _NUMPY_TYPES[entry.dtype]) for entry in bundle.info.inputs]
         self._names = frozenset(entry.name for entry in bundle.info.inputs)
@@ -183,6 +200,7 @@ class Policy:
     def reset(self) -> None:
         """Forget all steps before: the next one is the first of an episode."""
         self._memory = dict(self._initial)
+        self._calls, self._last = 0, dict[str, Array]()
 
     def step(self, values: Mapping[str, Any]) -> dict[str, Array]:
         """The commands for the values that the sensors have now.
@@ -201,9 +219,13 @@ class Policy:
         feeds = dict(self._memory)
         for name, shape, kind in self._inputs:
             feeds[name] = _fitting(name, values[name], shape, kind)
+        self._calls += 1
+        if (self._calls - 1) % self._every:
+            return {name: value.copy() for name, value in self._last.items()}
         found = dict(zip(self._outputs, self._run(None, feeds), strict=True))
         for name, following in self._memories:
             self._memory[name] = found.pop(following)
+        self._last = found if self._every == 1 else {name: value.copy() for name, value in found.items()}
         return found
 
     def _wrong_names(self, values: Mapping[str, Any]) -> str:

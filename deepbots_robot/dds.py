@@ -155,6 +155,9 @@ class RosLink:
     def remarks(self) -> Sequence[Remark]:
         return self._others.remarks()
 
+    def others(self) -> Sequence[About]:
+        return self._others.abouts()
+
     def close(self) -> None:
         self._others.close()
         self._conditions.clear()

@@ -20,7 +20,9 @@ SERVED = {"view", "play"}
 
 
 @pytest.mark.parametrize("page", TUTORIALS)
-def test_the_files_of_a_tutorial_are_what_its_page_says(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+def test_the_files_of_a_tutorial_are_what_its_page_says(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
     follow(page, tmp_path, monkeypatch, capsys, whole=False)
 
 

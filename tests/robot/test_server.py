@@ -16,7 +16,7 @@ pytest.importorskip("mcap")
 pytest.importorskip("zmq")
 
 from deepbots_robot import messages
-from deepbots_robot.about import Remark
+from deepbots_robot.about import About, Remark
 from deepbots_robot.intake import Input
 from deepbots_robot.link import Array, Arrival
 from deepbots_robot.log import LogWriter, read_log
@@ -77,6 +77,9 @@ class Line:
         return True
 
     def remarks(self) -> Sequence[Remark]:
+        return []
+
+    def others(self) -> Sequence[About]:
         return []
 
     def close(self) -> None: ...

@@ -47,6 +47,7 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         import msgspec
 
         from deepbots_cli.insight.export.control import control_step
+        from deepbots_cli.insight.export.graph import numbers_read
         from deepbots_cli.insight.export.network import policy_graph
         from deepbots_cli.insight.export.parity import recorded_parity
         from deepbots_cli.learning import policy
@@ -63,7 +64,7 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         parity = recorded_parity(bundle.Bundle(info, graph), step, learner, engine=run.engine_for(run.program))
     files = {bundle.GRAPH_NAME: graph, bundle.PARITY_NAME: parity}
     info = msgspec.structs.replace(info, files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()})
-    readme = render_template("export/bundle.md.j2", info=info)
+    readme = render_template("export/bundle.md.j2", info=info, used=numbers_read(graph))
     # The scenario names the copies of its robot files; the YAML files that it was put together from are in it.
     robots = [name for name in run.record.inputs if not name.endswith((".yaml", ".yml"))]
     files |= {
