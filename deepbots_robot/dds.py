@@ -10,6 +10,7 @@ the other end is. What two ends of deepbots say about themselves is the user dat
 
 from __future__ import annotations
 
+import math
 import re
 import socket
 import time
@@ -46,6 +47,8 @@ SENSOR_DATA = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(5), Pol
 COMMANDS = Qos(Policy.Reliability.Reliable(duration(milliseconds=100)), Policy.History.KeepLast(10), Policy.Durability.Volatile, _PLAIN_CDR)
 """The default profile of ROS 2, for commands and resets."""
 _TAKEN = 256
+_CONNECTED = 2.0
+"""Seconds after the first connection in which listeners of all topics are waited for; another program may leave some out."""
 _DISCOVERY = 0.5
 """Seconds in which a policy looks for another one before it begins; on one machine they find each other within 0.1 s."""
 
@@ -100,6 +103,7 @@ class RosLink:
         self._writers = [(self._writer(name, codec.type, qos[name]), codec) for name, codec in _by_topic(sends).items()]
         ends = {f"rt{name}": End(codec.type, name in _by_topic(sends), qos[name] is COMMANDS) for name, codec in codecs.items()}
         ends[f"rt{EPISODE_TOPIC}"] = End("std_msgs/Header", robot, is_reliable=True)
+        self._connected_at = math.inf
         self._others = Others(self._participant, ends, about)
         if about is not None and about.role == "policy":
             self._refuse_a_second_policy([f"rt{name}" for name in _by_topic(sends) if name != ACTION_TOPIC])
@@ -154,7 +158,11 @@ class RosLink:
                 self._episode_writer.wait_for_acks(duration(seconds=1))
 
     def connected(self) -> bool:
-        return any(writer.get_matched_subscriptions() for writer, _ in self._writers)
+        writers = [writer for writer, _ in self._writers]
+        matched = [bool(writer.get_matched_subscriptions()) for writer in [*writers, self._episode_writer] if writer is not None]
+        if any(matched):
+            self._connected_at = min(self._connected_at, time.monotonic())
+        return all(matched) or time.monotonic() > self._connected_at + _CONNECTED
 
     def remarks(self) -> Sequence[Remark]:
         return self._others.remarks()

@@ -70,11 +70,11 @@ def test_a_policy_acts_for_a_robot_over_ros_1_and_a_second_one_is_refused(master
     serve = ("deepbots_robot", bundle, "--ros1", "--lockstep", "--json")
     policy = started(master, *serve)
     robot = started(master, "deepbots_cli", "serve", "cartpole", "--as-robot", "--ros1", "--lockstep", "--episodes", 20, "--json")
-    out, err = robot.communicate(timeout=90)
+    out, err = robot.communicate(timeout=200)
     assert robot.returncode == 0, err
     found = json.loads(out)
     second = started(master, *serve, "--seconds", 5)
-    assert "another program sends commands on /cart/joint_commands in ROS 1" in second.communicate(timeout=60)[1]
+    assert "another program sends commands on /cart/joint_commands in ROS 1" in second.communicate(timeout=200)[1]
     assert second.returncode == 1
     policy.send_signal(2)
     out, err = policy.communicate(timeout=30)
@@ -87,7 +87,7 @@ def test_a_policy_acts_for_a_robot_over_ros_1_and_a_second_one_is_refused(master
     robot = started(
         master, "deepbots_cli", "serve", "cartpole", "--as-robot", "--zmq", f"ipc://{over_zmq}", "--lockstep", "--episodes", 20, "--json"
     )
-    again = json.loads(robot.communicate(timeout=90)[0])
+    again = json.loads(robot.communicate(timeout=200)[0])
     policy.kill()
     policy.communicate()
     assert (again["steps"], again["mean_return"]) == (found["steps"], found["mean_return"])
@@ -124,7 +124,7 @@ print("done")
 def test_without_a_master_it_says_so(tmp_path: Path) -> None:
     bundle = written(tmp_path / "bundle", "cartpole")
     server = started({**os.environ, "ROS_MASTER_URI": "http://127.0.0.1:9"}, "deepbots_robot", bundle, "--ros1")
-    assert "no ROS master answers at http://127.0.0.1:9; start `roscore`, or set ROS_MASTER_URI" in server.communicate(timeout=60)[1]
+    assert "no ROS master answers at http://127.0.0.1:9; start `roscore`, or set ROS_MASTER_URI" in server.communicate(timeout=200)[1]
 
 
 def test_without_rospy_it_says_where_it_belongs(tmp_path: Path) -> None:

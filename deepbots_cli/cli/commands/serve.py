@@ -60,10 +60,10 @@ def command(
 ) -> None:
     """Let a policy act for a robot, or simulate the robot.
 
-    The policy gets what sensors measure over ROS 2, ZeroMQ or WebSocket and answers with commands, both in SI units, at the rate of the
-    bundle. Every message is checked: layout, finite numbers, range, age and order. Commands are kept within the limits of the actuators.
-    On silence, and after a wrong message, the robot gets the safe posture of the bundle. At the end there is a table of answer times and
-    refused messages.
+    The policy gets what sensors measure over ROS 2, ROS 1, ZeroMQ or WebSocket and answers with commands, both in SI units, at the rate of
+    the bundle. Every message is checked: layout, finite numbers, range, age and order. Commands are kept within the limits of the
+    actuators. On silence, and after a wrong message, the robot gets the safe posture of the bundle. At the end there is a table of answer
+    times and refused messages.
     `python -m deepbots_robot BUNDLE` does the same where deepbots is not installed.
 
     With --as-robot, a simulation of the scenario is the robot: it sends its sensors and obeys commands in real time, episode after
