@@ -25,6 +25,7 @@ class About(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fiel
         pace: How its time passes: `in lockstep`, or `at speed 1`.
         sends: What it sends: counts and units by the names of fields. ROS 2 has types of topics instead.
         takes: What it receives.
+        scores: Whether it needs the values at the end of an episode too, since it computes rewards.
     """
 
     role: Role
@@ -33,6 +34,7 @@ class About(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fiel
     pace: Text
     sends: Annotated[dict[Text, Text], Meta(max_length=MAX_FIELDS)] = {}
     takes: Annotated[dict[Text, Text], Meta(max_length=MAX_FIELDS)] = {}
+    scores: bool = False
 
 
 class Remark(NamedTuple):

@@ -1,5 +1,9 @@
 """The link over ROS 2: topics of Cyclone DDS, on the loopback interface unless another one is named.
 
+A topic `/cart/joint_states` of ROS 2 is the topic `rt/cart/joint_states` of DDS. Sensors are sent as ROS 2 sends sensor data: best
+effort, the last five messages; commands and resets arrive reliably. An image takes its time in this serializer: 640 x 480 pixels in
+color take 34 to 67 ms, 64 x 48 less than 1 ms.
+
 Every program in a domain knows the topics and types of the others, so that a type that differs or a second policy is noticed whoever
 the other end is. What two ends of deepbots say about themselves is the user data of their participants.
 """
@@ -27,7 +31,7 @@ from deepbots_robot import idl
 from deepbots_robot.about import About, Remark
 from deepbots_robot.discovery import MARK, End, Others
 from deepbots_robot.link import ACTION_TOPIC, EPISODE_TOPIC, Array, Arrival
-from deepbots_robot.ros import Codec, stamp_of, time_of
+from deepbots_robot.ros import Codec, by_topic, stamp_of
 from deepbots_robot.topics import Field, Topic
 
 MAX_DOMAIN = 232
@@ -145,7 +149,7 @@ class RosLink:
 
     def reset(self, number: int, stamp: float) -> None:
         if self._episode_writer is not None:
-            self._episode_writer.write(idl.Header(time_of(stamp), str(number)))
+            self._episode_writer.write(idl.Header(idl.time_of(stamp), str(number)))
             with suppress(Exception):  # a reader that was killed never answers, and cyclonedds then raises an AttributeError of its own
                 self._episode_writer.wait_for_acks(duration(seconds=1))
 
@@ -154,6 +158,9 @@ class RosLink:
 
     def remarks(self) -> Sequence[Remark]:
         return self._others.remarks()
+
+    def others(self) -> Sequence[About]:
+        return self._others.abouts()
 
     def close(self) -> None:
         self._others.close()
@@ -164,11 +171,7 @@ class RosLink:
 
 
 def _by_topic(mapped: Mapped) -> dict[str, Codec]:
-    """The codec of each topic."""
-    sharing: dict[str, list[tuple[Field, Topic]]] = {}
-    for field, topic in mapped:
-        sharing.setdefault(topic.name, []).append((field, topic))
-    return {name: Codec(entries[0][1].type, entries) for name, entries in sharing.items()}
+    return by_topic(mapped, idl.empty)
 
 
 def _taken(reader: Any) -> list[Any]:

@@ -67,6 +67,11 @@ class Others:
                 found.append(Remark(f"{everybody} programs send on {_plain(name)}; end all but one, or give each robot its own --domain"))
         return found + [Remark(text) for text in self._differences()]
 
+    def abouts(self) -> list[About]:
+        """What programs of deepbots in the domain say about themselves."""
+        read = [_about(each) for key, each in self._readers[2][1].items() if key != self._own]
+        return [each for each in read if each is not None]
+
     def _update(self) -> None:
         """Take what has changed since the last call."""
         for reader, known in self._readers:
@@ -86,8 +91,7 @@ class Others:
         own = self._about
         if own is None:
             return []
-        read = [_about(each) for key, each in self._readers[2][1].items() if key != self._own]
-        found = [each for each in read if each is not None and each.role != own.role]
+        found = [each for each in self.abouts() if each.role != own.role]
         near = [each for each in found if each.scenario == own.scenario]
         return [text for each in near or found for text in differences(own, each)]
 

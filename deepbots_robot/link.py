@@ -72,5 +72,8 @@ class Link(Protocol):
     def remarks(self) -> Sequence[Remark]:
         """What is known now of other programs on the link that do not fit, or that get in the way."""
 
+    def others(self) -> Sequence[About]:
+        """What other ends have said about themselves, as far as it is known now."""
+
     def close(self) -> None:
         """End the link."""

@@ -77,6 +77,7 @@ class MessageLink:
     def __init__(self, receives: Sequence[Field], sends: Sequence[Field], about: About | None) -> None:
         self._fields = {field.name: field for field in receives}
         self._about = about and with_fields(about, sends, receives)
+        self._other: About | None = None
         self._remarks: list[Remark] = []
         self._is_crowded = False
         self._packed = False
@@ -97,6 +98,9 @@ class MessageLink:
     def remarks(self) -> Sequence[Remark]:
         return [*self._remarks, *([_CROWDED] if self._is_crowded else [])]
 
+    def others(self) -> Sequence[About]:
+        return [] if self._other is None else [self._other]
+
     def _say(self, stamp: float, reset: int | None = None) -> None:
         self._write(write(next(iter(self._robots), SUPERVISOR), {}, stamp, packed=self._packed, reset=reset, about=self._about))
 
@@ -104,6 +108,7 @@ class MessageLink:
         """A message, unless it is of an end that does not fit, or only says what that end is."""
         arrival = read(content, self._fields)
         if self._about is not None and arrival.about is not None:
+            self._other = arrival.about
             problem = misfit(self._about, arrival.about)
             texts = [problem] if problem else differences(self._about, arrival.about)
             self._remarks = [Remark(text, is_misfit=bool(problem)) for text in texts]

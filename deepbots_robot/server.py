@@ -52,7 +52,8 @@ class Output:
 class Policy(Protocol):
     """What acts; `deepbots_robot.Policy` is one."""
 
-    def step(self, values: Mapping[str, Any]) -> Mapping[str, Array]: ...
+    def step(self, values: Mapping[str, Any]) -> Mapping[str, Array] | None:
+        """The commands for these values; None for the safe posture, while no episode runs."""
 
     def reset(self) -> None: ...
 
@@ -233,6 +234,9 @@ class Server:
             found = self._policy.step(values)
         except Exception as error:  # noqa: BLE001  whatever a graph raises, the robot gets a command
             self._send_safe("policy", f"the policy fails: {' '.join(str(error).split())[:120]}")
+            return
+        if found is None:
+            self._send_safe("pause", "no episode runs")
             return
         now = self._clock()
         passed = 0.0 if self._lockstep else (now - self._sent_at) * self._speed

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,10 +42,31 @@ class Transport:
     websocket: str | None = None
     interface: str | None = None
     domain: int = 0
+    ros1: bool = False
 
     @property
     def is_ros(self) -> bool:
         return self.zmq is None and self.websocket is None
+
+    @classmethod
+    def at(cls, address: str) -> Transport:
+        """The transport of an address: `ros1`, `ros`, `ros:3` of domain 3, `ros:3@eth0`, `tcp://HOST:PORT`, `ipc://FILE`, `ws://HOST:PORT`.
+
+        Raises:
+            ServeError: It is none of these.
+        """
+        ros = re.fullmatch(r"ros(?::([0-9]{1,3}))?(?:@(.{1,32}))?", address)
+        if ros:
+            return cls(interface=ros[2], domain=int(ros[1] or 0))
+        if address == "ros1":
+            return cls(ros1=True)
+        if address.startswith("ws://"):
+            return cls(websocket=address.removeprefix("ws://").removesuffix("/"))
+        if address.startswith(("tcp://", "ipc://")):
+            return cls(zmq=address)
+        raise ServeError(
+            f"'{address[:100]}' is no address of a robot; write ros, ros:DOMAIN, ros1, tcp://HOST:PORT, ipc://FILE or ws://HOST:PORT"
+        )
 
     def open(
         self,
@@ -58,6 +81,10 @@ class Transport:
         Raises:
             ServeError: The package of the link is missing, or the address, the interface or a topic cannot be used.
         """
+        if any(topic.type == "sensor_msgs/CompressedImage" for _, topic in (*receives, *sends)) and find_spec("PIL") is None:
+            raise ServeError("pillow, which reads compressed images, is not installed; install it with: pip install pillow")
+        if self.ros1:
+            return self._ros1(receives, sends, robot=robot, about=about)
         package = "pyzmq" if self.zmq is not None else "websockets" if self.websocket is not None else "cyclonedds"
         fields = [field for field, _ in receives], [field for field, _ in sends]
         try:
@@ -74,6 +101,20 @@ class Transport:
             return RosLink(receives, sends, robot=robot, interface=self.interface, domain=self.domain, about=about)
         except ModuleNotFoundError as error:
             raise ServeError(f"{package} is not installed, or lacks {error.name}; install it with: pip install {package}") from None
+        except ValueError as error:
+            raise ServeError(str(error)) from None
+
+    @staticmethod
+    def _ros1(receives: Sequence[tuple[Field, Topic]], sends: Sequence[tuple[Field, Topic]], **ends: Any) -> Link:
+        try:
+            from deepbots_robot.ros1 import Ros1Link
+
+            return Ros1Link(receives, sends, **ends)
+        except ModuleNotFoundError as error:
+            raise ServeError(
+                f"{error.name} is not installed for this Python; rospy belongs to the Python of the system (Debian: apt install ros-core"
+                " python3-sensor-msgs python3-nav-msgs), which an environment of `/usr/bin/python3 -m venv --system-site-packages` has too"
+            ) from None
         except ValueError as error:
             raise ServeError(str(error)) from None
 
@@ -96,15 +137,21 @@ def _joints(entry: model.Output) -> tuple[str, ...]:
 
 def inputs_of(info: model.BundleInfo) -> list[Input]:
     """The inputs with the limits that messages are checked by."""
+    return inputs_of_entries(info.inputs, info.rate_hz)
+
+
+def inputs_of_entries(entries: Sequence[model.Input], rate: float, *, needs_goals: bool = True) -> list[Input]:
+    """As `inputs_of`, of a policy that acts at `rate`; without `needs_goals`, steps do not wait for goals."""
     return [
         Input(
             field_of(entry),
             entry.dtype,
             *_ends(entry.range, entry.shape),
             max_age=np.inf if entry.max_age_s is None else entry.max_age_s,
-            every_step=entry.source != "goal" and entry.rate_hz >= info.rate_hz * 0.999,
+            every_step=entry.source != "goal" and entry.rate_hz >= rate * 0.999,
+            is_needed=needs_goals or entry.source != "goal",
         )
-        for entry in info.inputs
+        for entry in entries
     ]
 
 
@@ -164,7 +211,7 @@ def serve(
     lockstep: bool = False,
     log: Path | None = None,
     seconds: float | None = None,
-    note: Callable[[str], None] = lambda text: None,
+    note: Callable[[str], object] = lambda text: None,
 ) -> dict[str, Any]:
     """Serve until SIGINT or SIGTERM, or for `seconds`; returns the report of the server.
 
@@ -192,11 +239,11 @@ def serve(
         if writer is not None:
             writer.close()
         raise
-    server = Server(bundle.start(), inputs, outputs, link, bundle.info.rate_hz, speed=speed, lockstep=lockstep, log=_Notes(writer, note))
+    server = Server(bundle.start(), inputs, outputs, link, bundle.info.rate_hz, speed=speed, lockstep=lockstep, log=Notes(writer, note))
     sources = ", ".join(dict.fromkeys(topic.name for _, topic in receives)) if transport.is_ros else "the robot"
     note(f"{bundle.info.scenario.name} acts at {bundle.info.rate_hz:g} Hz over {link.name}; it waits for {sources}")
     try:
-        with _stopping() as stopped:
+        with stopping() as stopped:
             server.run(_until(stopped, seconds, server, note))
     finally:
         link.close()
@@ -230,10 +277,10 @@ def _opened(path: Path | None, bundle: Bundle) -> LogWriter | None:
         raise ServeError(f"{path} cannot be written: {(error.strerror or 'unknown reason').lower()}") from None
 
 
-class _Notes:
+class Notes:
     """Passes on what happens to a log, and the more important part of it to a person."""
 
-    def __init__(self, log: LogWriter | None, note: Callable[[str], None]) -> None:
+    def __init__(self, log: LogWriter | None, note: Callable[[str], object]) -> None:
         self._log, self._note = log, note
         self._said: dict[str, float] = {}
 
@@ -258,7 +305,7 @@ class _Notes:
             self._note({"safe": "safe posture: ", "refused": "refused: "}.get(kind, "") + text)
 
 
-class _stopping:  # noqa: N801  a context manager
+class stopping:  # noqa: N801  a context manager
     """Within, SIGINT and SIGTERM make `stopped()` true instead of ending the process."""
 
     def __enter__(self) -> Callable[[], bool]:
@@ -277,7 +324,7 @@ class _stopping:  # noqa: N801  a context manager
             signal.signal(number, handler)
 
 
-def _until(stopped: Callable[[], bool], seconds: float | None, server: Server, note: Callable[[str], None]) -> Callable[[], bool]:
+def _until(stopped: Callable[[], bool], seconds: float | None, server: Server, note: Callable[[str], object]) -> Callable[[], bool]:
     began = time.monotonic()
     said = False
 

@@ -42,7 +42,7 @@ class ZmqLink(MessageLink):
         if not robot and _is_taken(address):  # ZeroMQ would take the address away from the other policy
             raise ValueError(f"{address} cannot be opened: address already in use")
         self._socket: Any = zmq.Context.instance().socket(zmq.DEALER if robot else zmq.ROUTER)
-        self._socket.setsockopt(zmq.LINGER, 100)
+        self._socket.setsockopt(zmq.LINGER, 1000)
         self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)
         try:
             if robot:

@@ -43,6 +43,8 @@ AGAIN = 0.25
 """Seconds without an answer after which a robot that waits sends its sensors again."""
 SILENT_STEPS = 5
 """Steps without a command after which the simulated robot prints a note."""
+_LAST = 1.0
+"""Seconds that a robot waits for an answer to the last values of an episode."""
 MOST_REMARKS = 100
 PATIENCE = 60.0
 """Seconds that a robot waits for the first command of an episode, and in lockstep for every command."""
@@ -235,6 +237,15 @@ class SimulatedRobot(Driver):
         self._first = False
         return super().act(observation)
 
+    def finish(self) -> None:
+        """Send what the last step of an episode led to, if the other end scores it; it answers before the next episode begins."""
+        if any(other.scores for other in self.link.others()):
+            self._obeyed = {}
+            sent, stamp = time.monotonic(), time.time()
+            self.link.send(self._watch.inputs(), stamp)
+            while not self._received(None, stamp if self._lockstep else -np.inf) and time.monotonic() < sent + _LAST:
+                self.link.wait(0.1)
+
     def _announce(self) -> None:
         """Say that an episode begins, to a policy that is there."""
         until = time.monotonic() + self._patience
@@ -371,7 +382,9 @@ def serve_robot(
         robot = SimulatedRobot(environment, readings, outputs, link, lockstep=lockstep, speed=speed, patience=patience, note=note)
         number = 0
         while episodes is None or number < episodes:
-            yield play(environment, robot, Start.of_evaluation(seed, number)), robot
+            episode = play(environment, robot, Start.of_evaluation(seed, number))
+            robot.finish()
+            yield episode, robot
             number += 1
 
 

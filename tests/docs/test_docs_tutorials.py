@@ -1,4 +1,4 @@
-"""The tutorials, done word by word in an empty folder: their files are written, their edits made, and their commands print what the page shows."""
+"""The tutorials, done word by word in an empty folder: files are written, edits are made, and commands print what the page shows."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ SERVED = {"view", "play"}
 
 
 @pytest.mark.parametrize("page", TUTORIALS)
-def test_the_files_of_a_tutorial_are_what_its_page_says(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+def test_the_files_of_a_tutorial_are_what_its_page_says(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
     follow(page, tmp_path, monkeypatch, capsys, whole=False)
 
 

@@ -24,21 +24,23 @@ ABSENT = {"DQN": "continuous actions", "DDPG": "not compared"}
 HEAD = f"""\
 # Benchmark
 
-Several algorithms learn the same tasks. Each task runs on the engine that steps it fastest. Each algorithm is trained with
-{len(SEEDS)} seeds, {SEEDS[0]} to {SEEDS[-1]}, by which no value was chosen. `make results PART=benchmark` measures what is missing,
-continues an interrupted measurement, and writes this page from the records in `docs/results/benchmark`.
+Several algorithms learn the same tasks. Each task runs on the engine that steps it fastest, or on PyBullet, the default, if MuJoCo is
+not a tenth faster. Each algorithm is trained with {len(SEEDS)} seeds, {SEEDS[0]} to {SEEDS[-1]}, by which no value was chosen.
+`make results PART=benchmark` measures what is missing, continues an interrupted measurement, and writes this page from the records in
+`docs/results/benchmark`.
 
 - **Values.** Where the scenario names the algorithm, its `train` section is used as it is (marked with *). All others have the
   values of the [chosen learner](training.md#the-chosen-learner): PPO has the values of its row, and SAC, TD3, TQC and DQN have the
   values of SAC, with hindsight where the scenario has a goal. They were not tuned for these tasks: other values may be better.
 - **Limit.** A training ends when an evaluation confirms that the task is solved, or after the timesteps in the column "limit". With
-  this limit, a training takes about {CPU_LIMIT // 60} minutes of CPU at most; the column "CPU of a training" shows the mean.
+  this limit, a training takes about {CPU_LIMIT // 60} minutes of CPU at most; the column "CPU of a training" shows what they took.
 - **Held out.** The best policy of each training runs 100 episodes with starts that no training uses.
 - **Intervals** are of 95 %, over seeds and episodes: the wider one of the interval over all episodes together and of Student's
   interval over the means of the seeds. Three seeds show little about rare failures of a training.
-- **Until solved.** Medians over the seeds. A seed that is not solved counts as longer than any other. CPU time is that of the training
-  with its evaluations, without the start of Python. It varies with the machine, and is up to a half longer beside other work. Steps
-  and simulated hours do not vary.
+- **Until solved.** The median over the seeds, with the least and the largest. A seed that is not solved counts as longer than any other.
+  CPU time is that of the training with its evaluations, without the start of Python. "CPU of a training" is the mean over the seeds of
+  the whole command. CPU times vary with the machine, and are up to a half longer beside other work. Steps and simulated hours do not
+  vary.
 """
 
 
@@ -68,14 +70,14 @@ class Row:
     def solved(self) -> int:
         return sum(entry["solved_at"] is not None for entry in self.entries)
 
-    def until(self, what: str) -> float:
-        """The median over the seeds of `what` when the task was solved; infinite if it was not."""
-        return median(math.inf if entry["solved_at"] is None else float(entry["solved_at"][what]) for entry in self.entries)
+    def until(self, what: str) -> list[float]:
+        """`what` of each seed when the task was solved; infinite if it was not."""
+        return [math.inf if entry["solved_at"] is None else float(entry["solved_at"][what]) for entry in self.entries]
 
     @property
     def rank(self) -> tuple[float, float]:
         """Lower is better: seeds that were not solved, then CPU time."""
-        return len(SEEDS) - self.solved, self.until("cpu_seconds")
+        return len(SEEDS) - self.solved, median(self.until("cpu_seconds"))
 
 
 def rows(task: Task, record: Entry) -> list[Row]:
@@ -167,7 +169,9 @@ def _in_short(row: Row) -> str:
         return row.cell.reason.partition(";")[0] or "not measured yet"
     value = _success(row.held) or _return(row.held)
     seeds = "" if len(row.entries) == len(SEEDS) else f", {_seeds(len(row.entries))}"
-    return f"{value}; {_seconds(row.until('cpu_seconds'))}{seeds}{' *' if row.is_own else ''}"
+    seconds = median(row.until("cpu_seconds"))
+    cost = f"{_number(seconds)} s" if math.isfinite(seconds) else "not solved"
+    return f"{value}; {cost}{seeds}{' *' if row.is_own else ''}"
 
 
 def _section(task: Task, found: Sequence[Row], record: Entry) -> Iterator[str]:
@@ -215,11 +219,10 @@ def _cells(row: Row) -> tuple[str, ...]:
     if not row.entries:
         return (row.name, "not measured yet", *[""] * 6, limit)
     seeds = f"{row.solved} of {len(row.entries)}{'' if len(row.entries) == len(SEEDS) else ' (seeds so far)'}"
-    steps, hours, cpu = (row.until(what) for what in ("steps", "simulated_hours", "cpu_seconds"))
-    until = (count(round(steps)), f"{number(hours, 3)} h", _seconds(cpu)) if math.isfinite(steps) else ("not solved", "", "")
+    until = [_median(row.until(what)) for what in ("steps", "simulated_hours", "cpu_seconds")]
     spent = [entry["cpu_seconds"] for entry in row.entries]
     marked = f"{row.name}{', earlier version' if row.outdated else ''}"
-    return (marked, _success(row.held) or "not defined", _return(row.held), seeds, *until, _seconds(fmean(spent)), limit)
+    return (marked, _success(row.held) or "not defined", _return(row.held), seeds, *until, _number(fmean(spent)), limit)
 
 
 def limit_of(task: Task, cell: Cell) -> int:
@@ -248,8 +251,15 @@ def _percent(share: float) -> str:
     return f"{100 * share:.1f}".removesuffix(".0")
 
 
-def _seconds(seconds: float) -> str:
-    return f"{number(seconds, 3)} s" if math.isfinite(seconds) else "not solved"
+def _median(values: Sequence[float]) -> str:
+    """The median, and the range of the seeds."""
+    low, middle, high = (_number(value) if math.isfinite(value) else "never" for value in (min(values), median(values), max(values)))
+    return middle if low == high else f"{middle} ({low} .. {high})"
+
+
+def _number(value: float) -> str:
+    """Three digits, and all of larger numbers."""
+    return count(round(value)) if value >= 100 else number(value, 3)
 
 
 def _seeds(number_of_seeds: int) -> str:

@@ -105,7 +105,7 @@ def card(standing: Standing) -> str:
         "```",
         "",
     ]
-    return "\n".join([*lines, *measured_on(measured), "", "[Method](../results.md#method)."]) + "\n"
+    return "\n".join([*lines, *measured_on(measured), "", "[Method](../results.md#method), [all scenarios](../worlds.md)."]) + "\n"
 
 
 def _headline(standing: Standing) -> Iterator[str]:
@@ -124,16 +124,19 @@ def _headline(standing: Standing) -> Iterator[str]:
 def _seeds(standing: Standing, training: Training) -> list[str]:
     """A row for each seed, and for each stage of its curriculum."""
     seeds, main = standing.seeds(training), standing.experiment.trainings[0]
-    title = "The training of the scenario" if training is main else f"The training `{training.name}`: {training.words}"
+    title = "The training of the scenario" if training is main else f"The training `{training.name}`, {training.words}"
     if not seeds:
-        return [f"{title}; not measured.", ""]
-    head = ("seed", "solved after", "simulated hours", "trained for", "simulated hours", "CPU")
+        return [f"{title}: not measured.", ""]
+    has_criterion = measure.compiled(standing.experiment.scenario, training.sets).agent.solved is not None
+    head = ["seed", "solved after", "simulated hours", "trained for", "simulated hours", "CPU"]
     rows = []
     for seed, entry in seeds.items():
         solved, resumed = entry["solved_at"], entry["times_resumed"]
         after = (_counts(solved["steps"], solved["episode"]), number(solved["simulated_hours"], 3)) if solved else ("not solved", "")
         cpu = f"{number(entry['cpu_seconds'], 3)} s" + (f", resumed {'once' if resumed == 1 else f'{resumed} times'}" if resumed else "")
         rows.append((str(seed), *after, _counts(entry["steps"], entry["episodes"]), number(entry["simulated_hours"], 3), cpu))
+    if not has_criterion:
+        head, rows = [head[0], *head[3:]], [(row[0], *row[3:]) for row in rows]
     lines = [*([f"{title}:", ""] if len(standing.experiment.trainings) > 1 else []), *table(head, rows), ""]
     stages = [
         (str(seed), f"`{end['name']}`", _counts(end["steps"], end["episodes"]), number(end["simulated_hours"], 3))

@@ -13,7 +13,7 @@ from pathlib import Path
 from deepbots_cli.learning.run import write_text
 from tests.results import measure, picture
 from tests.results.card import NOTE, card, card_title, count, measured_on, number, outcome, slug, table, wrapped
-from tests.results.experiment import Experiment
+from tests.results.experiment import Experiment, Held
 from tests.results.experiments.not_measured import REASONS
 from tests.results.measure import ROOT, Places
 from tests.results.parts import PARTS, Holding, Part
@@ -42,8 +42,8 @@ METHOD = """\
 
 - **Seeds** from 101 on are reported; none was used to choose a setting. Where earlier seeds led to a change, the card has their results.
 - **Held-out episodes** start from seeds that no training uses.
-- **Intervals** have a confidence of 95 %: for trainings, Student's over the seeds; for held-out episodes, Wilson's (success) or
-  Student's (return) over the episodes of all seeds, which leave out how trainings differ.
+- [**Intervals**](statistics.md) have a confidence of 95 %: for trainings, Student's over the seeds; for held-out episodes, Wilson's
+  (success) or Student's (return) over the episodes of all seeds, which leave out how trainings differ.
 - **Simulated hours** count the steps of all copies of the environment.
 - **CPU** covers all processes of a training and its evaluation, on two cores of x86_64. It varies by a tenth or two.\
 """
@@ -91,8 +91,8 @@ def _beside(standings: Sequence[Standing]) -> Iterator[tuple[str, ...]]:
             value, interval = over_seeds(row.figure, standing.record)
             is_share = row.figure.what == "success_rate"
             told = [f"{100 * one:.1f}".removesuffix(".0") if is_share else number(one, 3) for one in (value, *(interval or ()))]
-            unit = " %" if is_share else ""
-            yield link, row.words, row.paper, told[0] + unit + (f" ({told[1]} .. {told[2]})" if interval else "")
+            spread = f"{told[1]} .. {told[2]}" if interval else "every episode" if isinstance(row.figure, Held) else "one seed"
+            yield link, row.words, row.paper, f"{told[0]}{' %' if is_share else ''} ({spread})"
             link = ""
 
 

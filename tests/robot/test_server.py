@@ -16,7 +16,7 @@ pytest.importorskip("mcap")
 pytest.importorskip("zmq")
 
 from deepbots_robot import messages
-from deepbots_robot.about import Remark
+from deepbots_robot.about import About, Remark
 from deepbots_robot.intake import Input
 from deepbots_robot.link import Array, Arrival
 from deepbots_robot.log import LogWriter, read_log
@@ -77,6 +77,9 @@ class Line:
         return True
 
     def remarks(self) -> Sequence[Remark]:
+        return []
+
+    def others(self) -> Sequence[About]:
         return []
 
     def close(self) -> None: ...
@@ -329,7 +332,7 @@ def test_damaged_bytes_of_ros_messages_crash_nothing() -> None:
     from deepbots_robot.topics import Topic
 
     rng = random.Random(1)
-    codec = ros.Codec("sensor_msgs/JointState", [(ANGLE, Topic("/s", "sensor_msgs/JointState"))])
+    codec = ros.Codec("sensor_msgs/JointState", [(ANGLE, Topic("/s", "sensor_msgs/JointState"))], idl.empty)
     good = bytearray(codec.encode({"cart.angle": [0.5]}, 5.0).serialize(use_version_2=False))
     world = World()
     for number in range(500):
