@@ -80,15 +80,22 @@ def interval_text(interval: tuple[Any, Any] | None, form: Callable[[Any], str] =
     return "" if interval is None else " .. ".join(dict.fromkeys(map(form, interval)))
 
 
-def with_interval(value: float, interval: Interval | None, form: Callable[[float], str] = number, of: str = "") -> str:
-    """A statistic and its interval, `of` says what the interval follows from."""
-    return form(value) + ("" if interval is None else f" (95 %{of}: {form(interval[0])} .. {form(interval[1])})")
+def with_interval(value: float, interval: Interval | None, form: Callable[[float], str] = number, remark: str = "") -> str:
+    """A statistic and its interval, with a remark behind the interval."""
+    return form(value) + ("" if interval is None else f" (95 %: {form(interval[0])} .. {form(interval[1])}{remark})")
+
+
+def success_or_return(result: EvaluationResult) -> str:
+    """The success rate with its interval; where the scenario defines no success, the mean return."""
+    if result.success_defined:
+        return f"success rate {with_interval(result.success_rate, result.success_interval, percent)}"
+    return f"mean return {with_interval(result.mean_return, result.return_interval)}"
 
 
 def _statistics(result: Summary, *, success_defined: bool) -> Row:
-    of = ", from the possible returns" if result.std_return == 0 else ""
+    remark = "; all returns are equal" if result.std_return == 0 else ""
     return {
-        "mean return": with_interval(result.mean_return, result.return_interval, of=of),
+        "mean return": with_interval(result.mean_return, result.return_interval, remark=remark),
         "standard deviation": None if result.std_return is None else number(result.std_return),
         "interquartile mean": number(result.interquartile_mean) if result.episodes > 1 else "",
         "minimum, maximum": f"{number(result.least_return)}, {number(result.greatest_return)}",

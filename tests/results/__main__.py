@@ -1,10 +1,12 @@
-"""Measures what is missing or stale of docs/results, and renders docs/results.md.
+"""Measures what is missing or stale of docs/results, and renders the pages: docs/results.md, docs/benchmark.md,
+docs/reference/measurements.md and docs/results/*.md.
 
     python -m tests.results                     everything
     python -m tests.results pit_escape costs    a scenario and a part
+    python -m tests.results benchmark           the algorithms on the tasks of the benchmark; benchmark/cartpole is one of them
     python -m tests.results --list              what there is, and how many pieces of it are missing
     python -m tests.results cartpole --anew     forget what was measured, and measure it again
-    python -m tests.results --render            only write the page and its pictures
+    python -m tests.results --render            only write the pages and pictures
 
 It may be stopped at any time, and goes on when it is called again: finished pieces are in docs/results, and unfinished trainings in
 runs/results.
@@ -19,7 +21,7 @@ import time
 
 from deepbots_cli.cli.exits import INTERRUPTED, WRONG_USAGE
 from deepbots_cli.learning.report import duration
-from tests.results import page
+from tests.results import benchmark, benchmark_page, page
 from tests.results.experiment import Experiment, experiments
 from tests.results.measure import CommandError, Places, pieces
 from tests.results.parts import PARTS, Part
@@ -32,15 +34,16 @@ def main(arguments: list[str] | None = None, places: Places | None = None) -> in
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help="scenarios and parts; all by default")
     parser.add_argument("--anew", action="store_true", help="forget what was measured before")
-    parser.add_argument("--render", action="store_true", help="only write the page and its pictures")
+    parser.add_argument("--render", action="store_true", help="only write the pages and pictures")
     parser.add_argument("--list", action="store_true", help="what there is, and how many pieces of it are missing")
     given = parser.parse_args(arguments)
-    known: dict[str, Experiment | Part] = {**experiments(), **{part.name: part for part in PARTS}}
-    unknown = [name for name in given.names if name not in known]
+    known: dict[str, Experiment | Part] = {**experiments(), **{part.name: part for part in PARTS}, **benchmark.experiments()}
+    names = [one for name in given.names for one in (benchmark.experiments() if name == benchmark.GROUP else (name,))]
+    unknown = [name for name in names if name not in known]
     if unknown:
         print(f"there is no {' and no '.join(unknown)}; there are: {', '.join(known)}", file=sys.stderr)
         return WRONG_USAGE
-    chosen = given.names or list(known)
+    chosen = names or list(known)
     if given.list:
         for name in chosen:
             print(f"{name:<22} {sum(piece.missing() for piece in pieces(known[name], places))} missing")
@@ -53,6 +56,7 @@ def main(arguments: list[str] | None = None, places: Places | None = None) -> in
         for name in chosen:
             code = code if code == INTERRUPTED else max(code, measured(known[name], places))
     print(page.write(places, experiments()), file=sys.stderr)
+    print(benchmark_page.write(places, benchmark.TASKS), file=sys.stderr)
     return code
 
 

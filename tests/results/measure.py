@@ -56,15 +56,22 @@ KEPT = (
 
 @dataclass(frozen=True)
 class Places:
-    """`records` holds a JSON file for each scenario and part, `pictures` the learning curves, `runs` what was trained."""
+    """`records` holds a JSON file for each scenario and part, and a card for each scenario; `pictures` the learning curves, `runs` what was
+    trained.
+    """
 
     records: Path = ROOT / "docs" / "results"
     page: Path = ROOT / "docs" / "results.md"
+    measurements: Path = ROOT / "docs" / "reference" / "measurements.md"
     pictures: Path = ROOT / "docs" / "images" / "results"
     runs: Path = ROOT / "runs" / "results"
+    benchmark: Path = ROOT / "docs" / "benchmark.md"
 
     def record(self, name: str) -> Path:
         return self.records / f"{name}.json"
+
+    def card(self, name: str) -> Path:
+        return self.records / f"{name}.md"
 
     def picture(self, name: str) -> Path:
         return self.pictures / f"{name}.svg"
@@ -150,6 +157,12 @@ def asked_baseline(scenario: str, wanted: Baseline) -> Asked:
     return Asked(found, shlex.join(["deepbots", "try", scenario, *wanted.all_options]))
 
 
+def asked_speeds(scenario: str, engines: tuple[str, ...]) -> Asked:
+    """Steps of the world, with whatever policy; `--quick` takes a few seconds."""
+    found = digest(_with(compiled(scenario), {"scripts": (), "training": None}, curriculum=(), cases=(), evaluation=EvaluationSettings()))
+    return Asked(found, shlex.join(["deepbots", "bench", scenario, "--engine", ",".join(engines), "--quick"]))
+
+
 @cache
 def compiled(scenario: str, sets: tuple[str, ...] = ()) -> Program:
     """A shipped scenario by name, or one by its path from the root of the repository."""
@@ -233,6 +246,9 @@ def pieces(subject: Experiment | Part, places: Places) -> Iterator[Piece]:
             yield Piece(f"{subject.name}: {table.name}", record, ("tables", table.name), asked, partial(_table, table))
         return
     scenario = subject.scenario
+    if subject.engines:
+        asked = partial(asked_speeds, scenario, subject.engines)
+        yield Piece(f"{subject.name}: engines", record, ("engines",), asked, partial(_speeds, scenario, subject.engines))
     for training in subject.trainings:
         for seed in training.seeds:
             name = f"{subject.name} {seed}" + ("" if training.name == "main" else f" ({training.name})")
@@ -336,6 +352,12 @@ def _evaluate(scenario: str, training: Training, seed: int, folder: Callable[[],
 def _try(scenario: str, baseline: Baseline) -> dict[str, Any]:
     found, seconds = deepbots("try", scenario, *baseline.all_options)
     return {"cpu_seconds": round(seconds, 1), **{key: found["summary"][key] for key in KEPT}}
+
+
+def _speeds(scenario: str, engines: tuple[str, ...]) -> dict[str, Any]:
+    words = shlex.split(asked_speeds(scenario, engines).command)[1:]
+    found, seconds = deepbots(*words)
+    return {"cpu_seconds": round(seconds, 1), "step_us": {row["engine"]: round(row["step_us"], 1) for row in found}}
 
 
 def _table(table: Any) -> dict[str, Any]:

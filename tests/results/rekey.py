@@ -22,6 +22,7 @@ from typing import Any
 from deepbots_cli import api
 from deepbots_cli.codegen import generate_module
 from tests.contract import rollout
+from tests.results import benchmark
 from tests.results.experiment import Experiment, experiments
 from tests.results.measure import Places, compiled, pieces, put, read
 
@@ -60,7 +61,7 @@ if __name__ == "__main__":
     names = dict(word.split("=") for word in sys.argv[1:] if "=" in word)
     known = {
         name: {"behavior": behavior(each, names), "pieces": {"/".join(piece.keys): list(piece.asked()) for piece in pieces(each, Places())}}
-        for name, each in experiments().items()
+        for name, each in {**experiments(), **benchmark.experiments()}.items()
     }
     if files := [word for word in sys.argv[1:] if "=" not in word]:
         for name, old in json.loads(Path(files[0]).read_text(encoding="utf-8")).items():

@@ -12,7 +12,7 @@ import typer
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import EPISODES, Engine, Json, Overrides, integer, option
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ def command(
     ],
     as_robot: Annotated[bool, option("--as-robot", "Simulate the robot of a scenario: send its sensors and obey commands.")] = False,
     ros: Annotated[bool, option("--ros", "Use ROS 2 topics, by Cyclone DDS; this is the default.", _LINK)] = False,
+    ros1: Annotated[bool, option("--ros1", "Use ROS 1 topics, by rospy, at the master of ROS_MASTER_URI.", _LINK)] = False,
     zmq: Annotated[
         str | None, option("--zmq ADDRESS", "Use ZeroMQ at an address such as tcp://127.0.0.1:5555; the policy binds it.", _LINK)
     ] = None,
@@ -77,7 +78,7 @@ def command(
 
     Next: Ctrl-C ends both.
     """
-    links = [name for name, given in (("--ros", ros), ("--zmq", zmq), ("--websocket", websocket)) if given]
+    links = [name for name, given in (("--ros", ros), ("--ros1", ros1), ("--zmq", zmq), ("--websocket", websocket)) if given]
     if len(links) > 1:
         raise UsageError(f"{' and '.join(links)} are different links; choose one")
     if links not in ([], ["--ros"]) and (interface is not None or domain):
@@ -88,7 +89,7 @@ def command(
         from deepbots_robot.serving import Transport
     except ModuleNotFoundError as error:
         raise MissingExtraError("robot", "serving a policy") from error
-    transport = Transport(zmq, websocket, interface, domain)
+    transport = Transport(zmq, websocket, interface, domain, ros1)
     if not as_robot:
         if episodes is not None or seed or overrides or engine or permissions != Permissions():
             raise UsageError(
@@ -112,7 +113,7 @@ def _serve_policy(folder: Path, transport: Transport, *, as_json: bool, **settin
     from deepbots_robot.bundle import load
     from deepbots_robot.model import BundleError
     from deepbots_robot.server import report_lines
-    from deepbots_robot.serving import ServeError, serve
+    from deepbots_robot.serving import ServeError, nothing_served, serve
 
     with ExitStack() as stack:
         if folder_kind(folder) is SourceKind.RUN:
@@ -122,6 +123,9 @@ def _serve_policy(folder: Path, transport: Transport, *, as_json: bool, **settin
         except (BundleError, ServeError) as error:
             raise UsageError(str(error)) from None
     terminal.show(report, *report_lines(report), as_json=as_json)
+    nothing = nothing_served(report, settings["seconds"])
+    if nothing:
+        raise DeepbotsError(nothing)
 
 
 def _exported(run: Path, stack: ExitStack) -> Path:

@@ -1,0 +1,98 @@
+"""The benchmark page is what the records say, every cell is measured or has a reason, and no figure is without its interval."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deepbots_cli.learning.statistics import wilson
+from tests.results import benchmark, measure
+from tests.results.__main__ import main
+from tests.results.benchmark import SEEDS, TASKS, Task
+from tests.results.benchmark_page import first, own_algorithm, page, return_interval, rows, success_interval
+from tests.results.experiment import FIRST_SEED, experiments
+from tests.results.measure import ROOT, Places
+
+PLACES = Places()
+CURRENT = "run: python -m tests.results --render"
+EACH_TASK = pytest.mark.parametrize("task", TASKS, ids=lambda task: task.scenario)
+
+
+def record_of(task: Task) -> dict[str, Any]:
+    return measure.read(PLACES.record(task.experiment.name))
+
+
+def test_the_page_is_what_the_records_say():
+    assert PLACES.benchmark.read_text(encoding="utf-8") == page(PLACES, TASKS), CURRENT
+
+
+def test_no_figure_on_the_page_is_without_an_interval():
+    assert "no interval" not in PLACES.benchmark.read_text(encoding="utf-8")
+
+
+def test_no_value_was_chosen_by_the_seeds():
+    reported = {seed for experiment in experiments().values() for training in experiment.trainings for seed in training.seeds}
+    assert min(SEEDS) >= FIRST_SEED
+    assert reported.isdisjoint(SEEDS)
+
+
+@EACH_TASK
+def test_each_algorithm_is_trained_or_it_is_said_why_not(task: Task):
+    found = {cell.algorithm: cell for cell in task.cells}
+    assert {"PPO", "SAC", "TD3", "TQC", own_algorithm(task)} <= set(found)
+    for cell in task.cells:
+        assert (cell.training is None) == bool(cell.reason)
+        if cell.training:
+            program = measure.compiled(task.scenario, cell.training.sets)
+            assert program.agent.training is not None
+            assert (program.agent.training.algorithm, program.engine) == (cell.algorithm, task.engine)
+
+
+@EACH_TASK
+def test_the_learner_of_the_scenario_has_its_own_values(task: Task):
+    (cell,) = (cell for cell in task.cells if cell.algorithm == own_algorithm(task))
+    assert cell.training is not None
+    assert measure.compiled(task.scenario, cell.training.sets).agent.training == measure.compiled(task.scenario).agent.training
+
+
+@EACH_TASK
+def test_a_task_runs_on_the_engine_that_steps_it_fastest(task: Task):
+    if measured := record_of(task).get("engines"):
+        times = measured["step_us"]
+        assert times[task.engine] <= 1.1 * min(times.values())  # a tenth is noise
+
+
+@EACH_TASK
+def test_a_scenario_recommends_what_is_first_or_it_is_said_why_not(task: Task):
+    found = rows(task, record_of(task))
+    best = first(found)
+    whole = all(len(row.entries) == len(SEEDS) for row in found if row.cell.training)
+    assert task.advice or best is None or best.is_own or not whole
+
+
+def held(*rates: float) -> list[dict[str, Any]]:
+    outcomes = ((round(100 * rate), rate) for rate in rates)
+    return [
+        {"successes": successes, "episodes": 100, "success_rate": rate, "mean_return": rate, "return_interval": [rate - 0.03, rate + 0.04]}
+        for successes, rate in outcomes
+    ]
+
+
+def test_an_interval_is_over_seeds_and_over_episodes():
+    assert success_interval(held(1, 1, 1)) == wilson(300, 300)
+    low, high = success_interval(held(0.7, 0.8, 0.9))
+    assert (low, high) == pytest.approx((0.8 - 4.302653 * 0.1 / 3**0.5, 1.0))  # Student's t for two degrees of freedom, cut at 1
+    assert return_interval(held(0.5, 0.5)) == pytest.approx((0.5 - 0.03 / 2**0.5, 0.5 + 0.04 / 2**0.5))
+    assert return_interval(held(0.4, 0.6)) == pytest.approx((0.5 - 12.706205 * 0.1, 0.5 + 12.706205 * 0.1))
+
+
+def test_the_command_on_the_page_measures_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    places = Places(*(tmp_path / name for name in ("records", "page.md", "pictures", "runs", "benchmark.md")))
+    assert main(["--list", "benchmark"], places) == 0
+    counted = re.findall(r"^(benchmark/\w+) +(\d+) missing$", capsys.readouterr().out, re.MULTILINE)
+    cells = {task.experiment.name: sum(cell.training is not None for cell in task.cells) for task in TASKS}
+    assert {name: int(number) for name, number in counted} == {name: 1 + 2 * len(SEEDS) * number for name, number in cells.items()}
+    assert f"python -m tests.results {benchmark.GROUP}/cartpole" in (ROOT / "docs" / "benchmark.md").read_text(encoding="utf-8")
