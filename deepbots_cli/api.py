@@ -30,7 +30,11 @@ from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.scenario import Scenario
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from deepbots_cli.port import Engine
     from deepbots_cli.program import Program
+    from deepbots_cli.program.world import WorldModel
     from deepbots_cli.runtime import Supervisor
     from deepbots_cli.runtime.batch import BatchSupervisor
     from deepbots_cli.runtime.vector import BatchEnvironment
@@ -292,11 +296,13 @@ def build(
     render_mode: str | None = None,
     permissions: Permissions = Permissions(),
     fixed: tuple[str, ...] = (),
+    wrap: Callable[[Engine], Engine] | None = None,
 ) -> Supervisor:
     """The environment of a compiled scenario; see `make`.
 
     Args:
         fixed: The parameters that no episode draws.
+        wrap: Returns what stands in for the engine; copies of the environment in other processes lack it.
     """
     if program.python_functions and not permissions.code:
         names = ", ".join(map(str, program.python_functions))
@@ -317,7 +323,12 @@ def build(
     engine = engine_kinds.chosen(engine or program.engine)
     name = class_name(program.name)
     module = load_module(generate_module(program), f"deepbots_generated_{name}", f"<deepbots {name} {digest(program)[:12]}>")
-    environment = make_environment(vars(module)[f"{name}Supervisor"], program, partial(engines.create, engine), render_mode)
+
+    def make_engine(world: WorldModel) -> Engine:
+        made = engines.create(engine, world)
+        return made if wrap is None else wrap(made)
+
+    environment = make_environment(vars(module)[f"{name}Supervisor"], program, make_engine, render_mode)
     environment.fixed = fixed
     builder = Builder(program, permissions, fixed)
     environment.rebuild = partial(builder, engine=engine, render_mode=render_mode)

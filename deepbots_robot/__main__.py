@@ -10,11 +10,11 @@ from pathlib import Path
 from deepbots_robot.bundle import load
 from deepbots_robot.model import BundleError
 from deepbots_robot.server import report_lines
-from deepbots_robot.serving import ServeError, Transport, serve
+from deepbots_robot.serving import ServeError, Transport, nothing_served, serve
 
 
 def main() -> int:
-    """Serve, and print the report; 1 after an error."""
+    """Serve, and print the report; 1 after an error, or if nothing was served in `--seconds`."""
     parser = argparse.ArgumentParser(prog="python -m deepbots_robot", description="Act for a robot by the policy of a bundle.")
     parser.add_argument("bundle", type=Path, help="a folder of `deepbots export`")
     parser.add_argument("--ros", action="store_true", help="ROS 2 over Cyclone DDS; the default")
@@ -38,7 +38,10 @@ def main() -> int:
         print(f"error: {error}", file=sys.stderr)
         return 1
     print(json.dumps(report) if given.json else "\n".join(report_lines(report)))
-    return 0
+    nothing = nothing_served(report, given.seconds)
+    if nothing:
+        print(f"error: {nothing}", file=sys.stderr)
+    return 1 if nothing else 0
 
 
 if __name__ == "__main__":

@@ -27,6 +27,8 @@ TOLERANCE = 1e-5
 _MAX_JSON_BYTES = 10_000_000
 _MAX_GRAPH_BYTES = 500_000_000
 _MAX_PARITY_BYTES = 500_000_000
+_MAX_DESCRIPTION_BYTES = 1 << 26
+_MAX_RATIO = 10_000
 
 Array = NDArray[Any]
 _NUMPY_TYPES = {"float64": np.float64, "float32": np.float32, "int64": np.int64, "bool": np.bool_, "uint8": np.uint8}
@@ -55,7 +57,7 @@ def load(folder: str | Path) -> Bundle:
         for name, found in content.items():
             if hashlib.sha256(found).hexdigest() != info.files.get(name):
                 raise BundleError(f"{name} is not the file that was exported")
-        bundle = Bundle(info, content[GRAPH_NAME])
+        bundle = Bundle(info, content[GRAPH_NAME], folder)
         replay(bundle, read_parity(folder / PARITY_NAME, info))
     except BundleError as error:
         raise BundleError(f"{folder}: {error}; export the run again") from error
@@ -94,16 +96,17 @@ class Bundle:
 
     Attributes:
         info: The content of bundle.json.
+        folder: Where it was read from; None for one that was not.
     """
 
-    def __init__(self, info: BundleInfo, graph: bytes) -> None:
+    def __init__(self, info: BundleInfo, graph: bytes, folder: Path | None = None) -> None:
         """The session of a graph that fits `info`.
 
         Raises:
             BundleError: The graph cannot be run, or has other inputs, outputs or metadata than `info` says.
         """
         onnx_file.require_plain(graph)
-        self.info = info
+        self.info, self.folder = info, folder
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1  # a small network takes longer on several threads
         options.log_severity_level = 4  # what onnxruntime writes to the terminal is raised as well
@@ -120,9 +123,39 @@ class Bundle:
             raise BundleError(f"{GRAPH_NAME} and {BUNDLE_NAME} are not of the same export")
         self.output_names = tuple(entry.name for entry in outputs)
 
-    def start(self) -> Policy:
-        """The policy at the start of an episode, with a memory of its own."""
-        return Policy(self)
+    def start(self, rate_hz: float | None = None) -> Policy:
+        """The policy at the start of an episode, with a memory of its own.
+
+        Args:
+            rate_hz: How often `step` is called per second of the robot, by default at the rate of the bundle. In a loop that is n times
+                faster, the policy acts in every nth call, beginning with the first, and returns its last commands in between.
+
+        Raises:
+            BundleError: The rate is no whole multiple of that of the bundle.
+        """
+        every = 1.0 if rate_hz is None else rate_hz / self.info.rate_hz
+        if not (0.999 <= every <= _MAX_RATIO and abs(every - round(every)) <= 1e-3 * every):
+            raise BundleError(
+                f"the policy acts at {self.info.rate_hz:g} Hz, and a loop of {rate_hz:g} Hz is no whole multiple of it; call it at"
+                f" {self.info.rate_hz:g} Hz, or {2 * self.info.rate_hz:g} Hz, or train again with another timestep"
+            )
+        return Policy(self, round(every))
+
+    def description(self) -> dict[str, bytes]:
+        """What says what the values mean: bundle.json, the scenario as `resolved.yaml`, and its files in `inputs`.
+
+        The scenario is left out where it is missing or too large: a policy acts without it.
+        """
+        found = {BUNDLE_NAME: model.encode(self.info)}
+        if self.folder is None:
+            return found
+        inputs = sorted(path for path in (self.folder / "inputs").rglob("*") if path.is_file())
+        paths = {"resolved.yaml": self.folder / "scenario.yaml", **{path.relative_to(self.folder).as_posix(): path for path in inputs}}
+        try:
+            files = {name: _read(path, _MAX_DESCRIPTION_BYTES) for name, path in paths.items()}
+        except BundleError:
+            return found
+        return found | files if sum(map(len, files.values())) <= _MAX_DESCRIPTION_BYTES else found
 
 
 def _differences(info: BundleInfo, inputs: Sequence[Any], outputs: Sequence[Any]) -> Iterator[str]:
@@ -153,7 +186,9 @@ class Policy:
     One policy acts for one robot: it remembers what it needs from the steps before.
     """
 
-    def __init__(self, bundle: Bundle) -> None:
+    def __init__(self, bundle: Bundle, every: int = 1) -> None:
+        """Acts in every so manyth call of `step`."""
+        self._every = every
         self._run = bundle.session.run
         self._inputs = [(entry.name, entry.shape, _NUMPY_TYPES[entry.dtype]) for entry in bundle.info.inputs]
         self._names = frozenset(entry.name for entry in bundle.info.inputs)
@@ -165,6 +200,7 @@ class Policy:
     def reset(self) -> None:
         """Forget all steps before: the next one is the first of an episode."""
         self._memory = dict(self._initial)
+        self._calls, self._last = 0, dict[str, Array]()
 
     def step(self, values: Mapping[str, Any]) -> dict[str, Array]:
         """The commands for the values that the sensors have now.
@@ -183,9 +219,13 @@ class Policy:
         feeds = dict(self._memory)
         for name, shape, kind in self._inputs:
             feeds[name] = _fitting(name, values[name], shape, kind)
+        self._calls += 1
+        if (self._calls - 1) % self._every:
+            return {name: value.copy() for name, value in self._last.items()}
         found = dict(zip(self._outputs, self._run(None, feeds), strict=True))
         for name, following in self._memories:
             self._memory[name] = found.pop(following)
+        self._last = found if self._every == 1 else {name: value.copy() for name, value in found.items()}
         return found
 
     def _wrong_names(self, values: Mapping[str, Any]) -> str:

@@ -1,12 +1,19 @@
-"""The link over ROS 2: topics of Cyclone DDS, on the loopback interface unless another one is named."""
+"""The link over ROS 2: topics of Cyclone DDS, on the loopback interface unless another one is named.
+
+Every program in a domain knows the topics and types of the others, so that a type that differs or a second policy is noticed whoever
+the other end is. What two ends of deepbots say about themselves is the user data of their participants.
+"""
 
 from __future__ import annotations
 
 import re
+import socket
+import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
+import msgspec
 from cyclonedds.core import DDSException, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.internal import InvalidSample
@@ -17,7 +24,9 @@ from cyclonedds.topic import Topic as DdsTopic
 from cyclonedds.util import duration
 
 from deepbots_robot import idl
-from deepbots_robot.link import EPISODE_TOPIC, Array, Arrival
+from deepbots_robot.about import About, Remark
+from deepbots_robot.discovery import MARK, End, Others
+from deepbots_robot.link import ACTION_TOPIC, EPISODE_TOPIC, Array, Arrival
 from deepbots_robot.ros import Codec, stamp_of, time_of
 from deepbots_robot.topics import Field, Topic
 
@@ -33,6 +42,8 @@ SENSOR_DATA = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(5), Pol
 COMMANDS = Qos(Policy.Reliability.Reliable(duration(milliseconds=100)), Policy.History.KeepLast(10), Policy.Durability.Volatile, _PLAIN_CDR)
 """The default profile of ROS 2, for commands and resets."""
 _TAKEN = 256
+_DISCOVERY = 0.5
+"""Seconds in which a policy looks for another one before it begins; on one machine they find each other within 0.1 s."""
 
 _DOMAINS: dict[int, tuple[str, Any]] = {}
 """The domains of this process with their networks; a process has one of each number, which two ends in it share."""
@@ -46,16 +57,27 @@ class RosLink:
     The end of the robot (`robot=True`) sends sensors and resets and receives commands.
     """
 
-    def __init__(self, receives: Mapped, sends: Mapped, *, robot: bool = False, interface: str | None = None, domain: int = 0) -> None:
+    def __init__(
+        self,
+        receives: Mapped,
+        sends: Mapped,
+        *,
+        robot: bool = False,
+        interface: str | None = None,
+        domain: int = 0,
+        about: About | None = None,
+    ) -> None:
         """Open the topics of the fields.
 
         Raises:
-            ValueError: A field does not fit its topic, or the interface or the domain does not exist.
+            ValueError: A field does not fit its topic, the interface or the domain does not exist, or another policy sends these
+                commands.
         """
         if not 0 <= domain <= MAX_DOMAIN:
             raise ValueError(f"the domain {domain} does not exist; choose one from 0 to {MAX_DOMAIN}")
-        if interface is not None and not re.fullmatch(r"[A-Za-z0-9_.:-]{1,32}", interface):
-            raise ValueError(f"'{interface[:40]}' is no network interface; `ip address` lists them")
+        known = [name for _, name in socket.if_nameindex()]
+        if interface is not None and (interface not in known or not re.fullmatch(r"[A-Za-z0-9_.:-]{1,32}", interface)):
+            raise ValueError(f"'{interface[:40]}' is no network interface of this machine; it has {', '.join(known)}")
         self.name = f"ROS 2 on {interface or 'the loopback interface'}, domain {domain}"
         network = _LOOPBACK if interface is None else f'<General><Interfaces><NetworkInterface name="{interface}"/></Interfaces></General>'
         try:
@@ -63,14 +85,20 @@ class RosLink:
                 _DOMAINS[domain] = network, Domain(domain, f"<CycloneDDS><Domain>{network}</Domain></CycloneDDS>")
             if _DOMAINS[domain][0] != network:
                 raise ValueError(f"the domain {domain} is already open on another network interface")
-            self._participant = DomainParticipant(domain)
+            described = Qos(Policy.Userdata(MARK + msgspec.json.encode(about))) if about is not None else None
+            self._participant = DomainParticipant(domain, qos=described)
         except DDSException as error:
             raise ValueError(f"{self.name} cannot be opened; `ip address` lists the network interfaces") from error
-        self._robot = robot
+        codecs = _by_topic(receives) | _by_topic(sends)
         sensors, commands = (sends, receives) if robot else (receives, sends)
         qos = dict.fromkeys(_by_topic(sensors), SENSOR_DATA) | dict.fromkeys(_by_topic(commands), COMMANDS)
         self._readers = [(name, self._reader(name, codec, qos[name]), codec) for name, codec in _by_topic(receives).items()]
         self._writers = [(self._writer(name, codec.type, qos[name]), codec) for name, codec in _by_topic(sends).items()]
+        ends = {f"rt{name}": End(codec.type, name in _by_topic(sends), qos[name] is COMMANDS) for name, codec in codecs.items()}
+        ends[f"rt{EPISODE_TOPIC}"] = End("std_msgs/Header", robot, is_reliable=True)
+        self._others = Others(self._participant, ends, about)
+        if about is not None and about.role == "policy":
+            self._refuse_a_second_policy([f"rt{name}" for name in _by_topic(sends) if name != ACTION_TOPIC])
         self._waiting = WaitSet(self._participant)
         self._episode_writer = self._writer(EPISODE_TOPIC, "std_msgs/Header", COMMANDS) if robot else None
         self._episode_reader = None if robot else DataReader(self._participant, self._topic(EPISODE_TOPIC, "std_msgs/Header"), qos=COMMANDS)
@@ -88,6 +116,17 @@ class RosLink:
 
     def _writer(self, name: str, type: str, qos: Any) -> Any:
         return DataWriter(self._participant, self._topic(name, type), qos=qos)
+
+    def _refuse_a_second_policy(self, commands: Sequence[str]) -> None:
+        until = time.monotonic() + _DISCOVERY
+        while time.monotonic() < until:
+            taken = self._others.sent_by_others(commands)
+            if taken:
+                raise ValueError(
+                    f"another program sends commands on {taken} in {self.name}; end it, or choose another --domain on both sides"
+                    " (a program that was killed counts for 10 s)"
+                )
+            time.sleep(0.02)
 
     def wait(self, timeout: float) -> None:
         self._waiting.wait(duration(seconds=max(0.0, timeout)))
@@ -113,7 +152,14 @@ class RosLink:
     def connected(self) -> bool:
         return any(writer.get_matched_subscriptions() for writer, _ in self._writers)
 
+    def remarks(self) -> Sequence[Remark]:
+        return self._others.remarks()
+
+    def others(self) -> Sequence[About]:
+        return self._others.abouts()
+
     def close(self) -> None:
+        self._others.close()
         self._conditions.clear()
         self._readers.clear()
         self._writers.clear()

@@ -46,6 +46,7 @@ class Input:
         high: Largest value, inf without a limit.
         max_age: The age in s beyond which a value is not used.
         every_step: Whether a new value comes in every step; a slower sensor leaves its last one.
+        is_needed: Whether there are no steps without a value.
     """
 
     field: Field
@@ -54,6 +55,7 @@ class Input:
     high: Array
     max_age: float
     every_step: bool = True
+    is_needed: bool = True
 
 
 class _State:
@@ -155,9 +157,14 @@ class Intake:
             return self.missing()
         return [name for name, each in self.inputs.items() if (now - self._states[name].received) * self._speed > each.max_age]
 
+    def ages(self, now: float) -> dict[str, float]:
+        """The time in s since the newest value of each input came; inputs that never had one are left out."""
+        speed = self._speed or 1.0
+        return {name: (now - state.received) * speed for name, state in self._states.items() if state.value is not None}
+
     def missing(self) -> list[str]:
         """The inputs that never had a value."""
-        return [name for name, state in self._states.items() if state.value is None]
+        return [name for name, state in self._states.items() if state.value is None and self.inputs[name].is_needed]
 
     def deadline(self) -> float:
         """When the first input will be too old."""
@@ -168,7 +175,8 @@ class Intake:
     def complete(self) -> bool:
         """Whether each input that has a new value in every step has got one since the last step."""
         states = self._states
-        return all(states[name].fresh if each.every_step else states[name].value is not None for name, each in self.inputs.items())
+        needed = {name: each for name, each in self.inputs.items() if each.is_needed}
+        return all(states[name].fresh if each.every_step else states[name].value is not None for name, each in needed.items())
 
     def newest(self) -> tuple[float | None, float]:
         """The newest stamp of all inputs, and when the last message came."""

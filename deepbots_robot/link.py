@@ -12,11 +12,15 @@ from typing import Any, Literal, Protocol
 
 from numpy.typing import NDArray
 
+from deepbots_robot.about import About, Remark
+
 Array = NDArray[Any]
 Kind = Literal["fields", "reset"]
 
 EPISODE_TOPIC = "/deepbots/episode"
 """The topic of resets in ROS 2: std_msgs/Header with the time of the reset, and the number of the episode as `frame_id`."""
+ACTION_TOPIC = "/deepbots/action"
+"""The topic of the action of a policy, std_msgs/Float64MultiArray."""
 MAX_BYTES = 16 * 2**20
 """Of a message; a picture of 1024 x 1024 pixels in color has three million."""
 
@@ -32,6 +36,7 @@ class Arrival:
         problem: Why it cannot be read; empty if it can.
         kind: `reset` says that an episode begins.
         number: The number of the episode of a reset.
+        about: What the sender says about itself, in the first message of an episode.
     """
 
     source: str
@@ -40,6 +45,7 @@ class Arrival:
     problem: str = ""
     kind: Kind = "fields"
     number: int = 0
+    about: About | None = None
 
 
 class Link(Protocol):
@@ -62,6 +68,12 @@ class Link(Protocol):
 
     def connected(self) -> bool:
         """Whether the other end listens."""
+
+    def remarks(self) -> Sequence[Remark]:
+        """What is known now of other programs on the link that do not fit, or that get in the way."""
+
+    def others(self) -> Sequence[About]:
+        """What other ends have said about themselves, as far as it is known now."""
 
     def close(self) -> None:
         """End the link."""

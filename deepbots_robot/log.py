@@ -1,7 +1,8 @@
 """The log of a server: an MCAP file that can be read up to its last second even if the process is killed.
 
-    /step     one message per command: inputs, commands, the answer time (s), and the posture, `policy` or `safe`
-    /event    episodes, refused messages, and why the robot went into the safe posture
+    /step         one message per command: inputs, their ages (s), commands, the answer time (s), and the posture, `policy` or `safe`
+    /event        episodes, refused messages, and why the robot went into the safe posture
+    attachments   bundle.json, and the scenario of the bundle: resolved.yaml and inputs/
 
 All messages are JSON; pictures are left out. Records are written one after the other, without compression, so that a file without an end
 is a log too.
@@ -31,12 +32,14 @@ FLUSH = 0.5
 MAX_EVENTS = 20
 """Events of one kind in a second; further ones are counted in the report alone."""
 MAX_READ = 1 << 28
+_MAX_RECORD = 1 << 26
 _MAGIC = b"\x89MCAP0\r\n"
 _NS = 1_000_000_000
 _STEP = {
     "type": "object",
     "properties": {
         "inputs": {"type": "object", "additionalProperties": {"type": "array", "items": {"type": "number"}}},
+        "ages": {"type": "object", "additionalProperties": {"type": "number"}},
         "commands": {"type": "object", "additionalProperties": {"type": "array", "items": {"type": "number"}}},
         "answer": {"type": "number"},
         "posture": {"type": "string"},
@@ -48,8 +51,10 @@ _EVENT = {"type": "object", "properties": {"kind": {"type": "string"}, "text": {
 class LogWriter:
     """Writes a log; `clock` is a monotonic time in s."""
 
-    def __init__(self, path: Path, about: Mapping[str, str], clock: Callable[[], float] = time.monotonic) -> None:
-        """Begin a file; `about` goes into its metadata.
+    def __init__(
+        self, path: Path, about: Mapping[str, str], clock: Callable[[], float] = time.monotonic, *, files: Mapping[str, bytes] = {}
+    ) -> None:
+        """Begin a file; `about` goes into its metadata, `files` are attached.
 
         Raises:
             OSError: The file exists already, or cannot be written.
@@ -58,6 +63,8 @@ class LogWriter:
         self._writer = Writer(self._file, use_chunking=False, compression=CompressionType.NONE)
         self._writer.start(library="deepbots")
         self._writer.add_metadata("deepbots_robot", dict(about))
+        for name, content in files.items():
+            self._writer.add_attachment(0, 0, name, "application/octet-stream", content)
         self._steps = self._channel("/step", _STEP)
         self._events = self._channel("/event", _EVENT)
         self._clock, self._flushed = clock, -np.inf
@@ -68,10 +75,19 @@ class LogWriter:
         number = self._writer.register_schema(f"deepbots{topic.replace('/', '.')}", "jsonschema", json.dumps(schema).encode())
         return self._writer.register_channel(topic, "json", number)
 
-    def step(self, stamp: float, values: Mapping[str, Array], commands: Mapping[str, Array], answer: float, posture: str) -> None:
+    def step(
+        self,
+        stamp: float,
+        values: Mapping[str, Array],
+        commands: Mapping[str, Array],
+        answer: float,
+        posture: str,
+        ages: Mapping[str, float] = {},
+    ) -> None:
         inputs = {name: value.reshape(-1).astype(float).tolist() for name, value in values.items() if value.ndim < 3}
         sent = {name: value.tolist() for name, value in commands.items()}
-        self._add(self._steps, stamp, {"inputs": inputs, "commands": sent, "answer": answer, "posture": posture})
+        known = {"ages": dict(ages)} if ages else {}
+        self._add(self._steps, stamp, {"inputs": inputs, **known, "commands": sent, "answer": answer, "posture": posture})
 
     def event(self, stamp: float, kind: str, text: str) -> None:
         recent = self._recent[kind] = self._recent.get(kind, 0) + 1
@@ -97,8 +113,11 @@ class LogWriter:
             self._file.close()
 
 
-def read_log(path: Path) -> Iterator[tuple[str, float, dict[str, Any]]]:
+def read_log(path: Path, note: Callable[[str], object] = lambda text: None) -> Iterator[tuple[str, float, dict[str, Any]]]:
     """Topic, stamp (s) and content of each message, up to where the file ends.
+
+    Args:
+        note: Called after the last message if the file is longer than `MAX_READ`, or has no end, as after a kill or where it is damaged.
 
     Raises:
         OSError: The file cannot be read.
@@ -109,9 +128,42 @@ def read_log(path: Path) -> Iterator[tuple[str, float, dict[str, Any]]]:
     if not content.startswith(_MAGIC[: len(content)]):
         raise ValueError(f"{path} is not a log of a robot")
     topics: dict[int, str] = {}
-    with suppress(McapError, struct.error, EOFError, KeyError, ValueError):  # the end of a process that was killed
-        for found in StreamReader(io.BytesIO(content), record_size_limit=1 << 24).records:
+    count, ended = 0, False
+    with suppress(McapError, struct.error, EOFError, KeyError, ValueError, RecursionError):  # the end of a process that was killed
+        for found in _records(content):
+            ended = isinstance(found, records.Footer)
             if isinstance(found, records.Channel):
                 topics[found.id] = found.topic
             elif isinstance(found, records.Message):
-                yield topics[found.channel_id], found.log_time / _NS, json.loads(found.data)
+                message = json.loads(found.data)
+                if not isinstance(message, dict):
+                    break
+                yield topics[found.channel_id], found.log_time / _NS, message
+                count += 1
+    if not ended:
+        reason = (
+            f"is longer than {MAX_READ >> 20} MiB" if len(content) == MAX_READ else "has no end: its process was killed, or it is damaged"
+        )
+        note(f"{path} {reason}; its first {count:,} messages are used")
+
+
+def read_attached(path: Path) -> dict[str, bytes]:
+    """The attached files of a log by their names.
+
+    Raises:
+        OSError: The file cannot be read.
+    """
+    with path.open("rb") as file:
+        content = file.read(MAX_READ)
+    found = {}
+    with suppress(McapError, struct.error, EOFError, KeyError, ValueError):
+        for record in _records(content):
+            if isinstance(record, records.Attachment):
+                found[record.name] = record.data
+            elif isinstance(record, records.Message):
+                break  # files come first
+    return found
+
+
+def _records(content: bytes) -> Iterator[records.McapRecord]:
+    return StreamReader(io.BytesIO(content), record_size_limit=_MAX_RECORD).records

@@ -4,6 +4,8 @@
     {"robot": "cart", "stamp": 12.34, "reset": 3}                                 from the robot: episode 3 begins
     {"robot": "cart", "stamp": 12.35, "fields": {"cart.wheels": [5, 5, 5, 5]}}    to the robot: its commands
 
+A reset may have what the robot says about itself, as `about`; the policy answers with a message of the same kind, so that each end can
+say what does not fit. Of an end that does not fit nothing is used.
 Values that the robot cannot measure may come in messages of the robot `supervisor`. A picture is its bytes, rows first, in JSON in base64.
 """
 
@@ -16,11 +18,12 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from deepbots_robot.about import MAX_FIELDS, About, Remark, differences, misfit, with_fields
 from deepbots_robot.link import Array, Arrival
 from deepbots_robot.topics import MAX_NUMBERS, Field
 
 SUPERVISOR = "supervisor"
-_MAX_FIELDS = 4096
+_CROWDED = Remark("two robots send to this policy, which answers the one that came last; start a policy for each of them")
 
 Name = Annotated[str, Meta(max_length=200)]
 Row = Annotated[list[float], Meta(max_length=MAX_NUMBERS)]
@@ -31,8 +34,9 @@ class Message(msgspec.Struct, omit_defaults=True, forbid_unknown_fields=True):
 
     robot: Name
     stamp: float
-    fields: Annotated[dict[Name, Row | bytes], Meta(max_length=_MAX_FIELDS)] = {}
+    fields: Annotated[dict[Name, Row | bytes], Meta(max_length=MAX_FIELDS)] = {}
     reset: Annotated[int, Meta(ge=0, le=10**9)] | None = None
+    about: About | None = None
 
 
 _READ_JSON, _READ_PACKED = msgspec.json.Decoder(Message), msgspec.msgpack.Decoder(Message)
@@ -45,7 +49,7 @@ def read(content: bytes, fields: Mapping[str, Field]) -> Arrival:
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, OverflowError) as error:
         return Arrival("a message", problem=f"it cannot be read: {' '.join(str(error).split())[:150]}")
     if message.reset is not None:
-        return Arrival(message.robot, stamp=message.stamp, kind="reset", number=message.reset)
+        return Arrival(message.robot, stamp=message.stamp, kind="reset", number=message.reset, about=message.about)
     found: dict[str, Array] = {}
     for name, value in message.fields.items():
         array: Array = np.frombuffer(value, np.uint8) if isinstance(value, bytes) else np.array(value, float)
@@ -53,22 +57,29 @@ def read(content: bytes, fields: Mapping[str, Field]) -> Arrival:
         if known is not None and known.is_picture != isinstance(value, bytes):
             return Arrival(message.robot, problem=f"{name} is {'a picture' if known.is_picture else 'no picture'}")
         found[name] = array.reshape(known.shape) if known is not None and array.size == known.count else array
-    return Arrival(message.robot, found, message.stamp)
+    return Arrival(message.robot, found, message.stamp, about=message.about)
 
 
-def write(robot: str, values: Mapping[str, Array], stamp: float, *, packed: bool, reset: int | None = None) -> bytes:
+def write(
+    robot: str, values: Mapping[str, Array], stamp: float, *, packed: bool, reset: int | None = None, about: About | None = None
+) -> bytes:
     """The bytes of a message."""
     fields: dict[str, Any] = {
         name: value.tobytes() if value.dtype == np.uint8 else value.reshape(-1).astype(float).tolist() for name, value in values.items()
     }
-    message = Message(robot, stamp, fields, reset)
+    message = Message(robot, stamp, fields, reset, about)
     return msgspec.msgpack.encode(message) if packed else msgspec.json.encode(message)
 
 
-class MessageSender:
-    """The sending half of a link that carries these messages, in the format that the other end uses."""
+class MessageLink:
+    """What links with these messages share: they answer in the format that the other end uses."""
 
-    def __init__(self, sends: Sequence[Field]) -> None:
+    def __init__(self, receives: Sequence[Field], sends: Sequence[Field], about: About | None) -> None:
+        self._fields = {field.name: field for field in receives}
+        self._about = about and with_fields(about, sends, receives)
+        self._other: About | None = None
+        self._remarks: list[Remark] = []
+        self._is_crowded = False
         self._packed = False
         self._robots: dict[str, list[str]] = {}
         """The names of the fields by the robot of their message."""
@@ -82,7 +93,30 @@ class MessageSender:
                 self._write(write(robot, present, stamp, packed=self._packed))
 
     def reset(self, number: int, stamp: float) -> None:
-        self._write(write(next(iter(self._robots), SUPERVISOR), {}, stamp, packed=self._packed, reset=number))
+        self._say(stamp, number)
+
+    def remarks(self) -> Sequence[Remark]:
+        return [*self._remarks, *([_CROWDED] if self._is_crowded else [])]
+
+    def others(self) -> Sequence[About]:
+        return [] if self._other is None else [self._other]
+
+    def _say(self, stamp: float, reset: int | None = None) -> None:
+        self._write(write(next(iter(self._robots), SUPERVISOR), {}, stamp, packed=self._packed, reset=reset, about=self._about))
+
+    def _received(self, content: bytes) -> Sequence[Arrival]:
+        """A message, unless it is of an end that does not fit, or only says what that end is."""
+        arrival = read(content, self._fields)
+        if self._about is not None and arrival.about is not None:
+            self._other = arrival.about
+            problem = misfit(self._about, arrival.about)
+            texts = [problem] if problem else differences(self._about, arrival.about)
+            self._remarks = [Remark(text, is_misfit=bool(problem)) for text in texts]
+            if self._about.role == "policy":
+                self._say(arrival.stamp or 0.0)
+        is_useless = any(remark.is_misfit for remark in self._remarks)
+        is_introduction = arrival.about is not None and arrival.kind == "fields" and not arrival.fields
+        return [] if is_useless or is_introduction else [arrival]
 
     def _write(self, content: bytes) -> None:
         """Send a message, or drop it if nobody is there."""

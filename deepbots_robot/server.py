@@ -25,6 +25,9 @@ EARLY = 0.25
 LATE = 0.5
 """The share of a period after which a step no longer waits for new values."""
 _LONGEST_WAIT = 0.1  # s, so that a signal is noticed
+_LOOK = 1.0
+"""Seconds between two looks at what is known of the other end."""
+_MOST_REMARKS = 100
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,8 @@ class Output:
 class Policy(Protocol):
     """What acts; `deepbots_robot.Policy` is one."""
 
-    def step(self, values: Mapping[str, Any]) -> Mapping[str, Array]: ...
+    def step(self, values: Mapping[str, Any]) -> Mapping[str, Array] | None:
+        """The commands for these values; None for the safe posture, while no episode runs."""
 
     def reset(self) -> None: ...
 
@@ -57,7 +61,15 @@ class Policy(Protocol):
 class Log(Protocol):
     """Takes what happens; see `log.py`."""
 
-    def step(self, stamp: float, values: Mapping[str, Array], commands: Mapping[str, Array], answer: float, posture: str) -> None: ...
+    def step(
+        self,
+        stamp: float,
+        values: Mapping[str, Array],
+        commands: Mapping[str, Array],
+        answer: float,
+        posture: str,
+        ages: Mapping[str, float] = {},
+    ) -> None: ...
 
     def event(self, stamp: float, kind: str, text: str) -> None: ...
 
@@ -135,9 +147,12 @@ class Server:
         self._period = self._step_time / speed
         self._due = -np.inf
         self._begun_at = np.inf
-        self._fault = ""  # the kind of reason why the robot is in the safe posture
+        self._fault = ""  # the kind of reason why the robot is in the safe posture, in this episode
+        self._is_safe = False  # whether the last command was that of the safe posture
         self._last_sent: Mapping[str, Array] = {}
-        self._sent_at = clock()
+        self._sent_at = self._looked_at = clock()
+        self.remarks: list[str] = []
+        """What was noticed about the other end."""
 
     def run(self, stopped: Callable[[], bool] = lambda: False) -> None:
         """Serve until `stopped`; the safe posture is the last command."""
@@ -145,10 +160,20 @@ class Server:
             while not stopped():
                 self.link.wait(self._patience())
                 self.turn()
+                if self._clock() > self._looked_at + _LOOK:
+                    self._look()
         finally:
             if self.steps:
                 with suppress(OSError):
                     self._send_safe("end", "the server ends")
+
+    def _look(self) -> None:
+        """Say what does not fit at the other end, each sentence once."""
+        self._looked_at = self._clock()
+        for remark in self.link.remarks():
+            if remark.text not in self.remarks and len(self.remarks) < _MOST_REMARKS:
+                self.remarks.append(remark.text)
+                self._event("remark", remark.text)
 
     def _patience(self) -> float:
         """How long nothing has to be done, in s."""
@@ -210,15 +235,18 @@ class Server:
         except Exception as error:  # noqa: BLE001  whatever a graph raises, the robot gets a command
             self._send_safe("policy", f"the policy fails: {' '.join(str(error).split())[:120]}")
             return
+        if found is None:
+            self._send_safe("pause", "no episode runs")
+            return
         now = self._clock()
         passed = 0.0 if self._lockstep else (now - self._sent_at) * self._speed
         commands = self.commands.limit(found, max(passed, self._step_time))
         if commands is None:
             self._send_safe("policy", "the policy computes a command that is not finite")
             return
-        if self._fault:
+        if self._is_safe:
             self._event("resumed", "all inputs are there again")
-            self._fault = ""
+        self._is_safe, self._fault = False, ""
         self._send({ACTION: np.atleast_1d(found[ACTION]), **commands} if ACTION in found else commands)
         answer = self._clock() - received
         self.steps += 1
@@ -226,7 +254,7 @@ class Server:
             self.answers.append(answer)
         self._pace(now)
         if self._log is not None:
-            self._log.step(self._stamp(), values, commands, answer, "policy")
+            self._log.step(self._stamp(), values, commands, answer, "policy", self.intake.ages(now))
 
     def _send_safe(self, kind: str, reason: str) -> None:
         now = self._clock()
@@ -234,12 +262,12 @@ class Server:
         if kind != self._fault:
             self._event("safe", reason)
             self.faults[kind] += 1
-        self._fault = kind
+        self._is_safe, self._fault = True, kind
         self.safe_steps += 1
         self._send(commands)
         self._pace(now)
         if self._log is not None:
-            self._log.step(self._stamp(), {}, commands, 0.0, "safe")
+            self._log.step(self._stamp(), {}, commands, 0.0, "safe", self.intake.ages(now))
 
     def _send(self, commands: Mapping[str, Array]) -> None:
         self._last_sent, self._sent_at = commands, self._clock()
@@ -284,6 +312,8 @@ class Server:
             "limited_steps": self.commands.limited,
             "safe_steps": self.safe_steps,
             "safe_because": dict(self.faults),
+            "remarks": self.remarks,
+            "missing": self.intake.missing(),
             "messages": self.intake.received,
             "refused": {kind: {"count": count, "first": self.intake.examples[kind]} for kind, count in self.intake.refused.items()},
         }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deepbots_robot import model
+from deepbots_robot.about import About, pace
 from deepbots_robot.intake import Input
 from deepbots_robot.link import Array, Link
 from deepbots_robot.server import Output, Server
@@ -44,8 +46,33 @@ class Transport:
     def is_ros(self) -> bool:
         return self.zmq is None and self.websocket is None
 
-    def open(self, receives: Sequence[tuple[Field, Topic]], sends: Sequence[tuple[Field, Topic]], *, robot: bool) -> Link:
-        """One end of the link.
+    @classmethod
+    def at(cls, address: str) -> Transport:
+        """The transport of an address: `ros`, `ros:3` of domain 3, `ros:3@eth0`, `tcp://HOST:PORT`, `ipc://FILE`, `ws://HOST:PORT`.
+
+        Raises:
+            ServeError: It is none of these.
+        """
+        ros = re.fullmatch(r"ros(?::([0-9]{1,3}))?(?:@(.{1,32}))?", address)
+        if ros:
+            return cls(interface=ros[2], domain=int(ros[1] or 0))
+        if address.startswith("ws://"):
+            return cls(websocket=address.removeprefix("ws://").removesuffix("/"))
+        if address.startswith(("tcp://", "ipc://")):
+            return cls(zmq=address)
+        raise ServeError(
+            f"'{address[:100]}' is no address of a robot; write ros, ros:DOMAIN, tcp://HOST:PORT, ipc://FILE or ws://HOST:PORT"
+        )
+
+    def open(
+        self,
+        receives: Sequence[tuple[Field, Topic]],
+        sends: Sequence[tuple[Field, Topic]],
+        *,
+        robot: bool,
+        about: About | None = None,
+    ) -> Link:
+        """One end of the link, with what it says about itself.
 
         Raises:
             ServeError: The package of the link is missing, or the address, the interface or a topic cannot be used.
@@ -56,14 +83,14 @@ class Transport:
             if self.zmq is not None:
                 from deepbots_robot.zeromq import ZmqLink
 
-                return ZmqLink(self.zmq, *fields, robot=robot)
+                return ZmqLink(self.zmq, *fields, robot=robot, about=about)
             if self.websocket is not None:
                 from deepbots_robot.websocket import WebSocketLink
 
-                return WebSocketLink(self.websocket, *fields, robot=robot)
+                return WebSocketLink(self.websocket, *fields, robot=robot, about=about)
             from deepbots_robot.dds import RosLink
 
-            return RosLink(receives, sends, robot=robot, interface=self.interface, domain=self.domain)
+            return RosLink(receives, sends, robot=robot, interface=self.interface, domain=self.domain, about=about)
         except ModuleNotFoundError as error:
             raise ServeError(f"{package} is not installed, or lacks {error.name}; install it with: pip install {package}") from None
         except ValueError as error:
@@ -88,15 +115,21 @@ def _joints(entry: model.Output) -> tuple[str, ...]:
 
 def inputs_of(info: model.BundleInfo) -> list[Input]:
     """The inputs with the limits that messages are checked by."""
+    return inputs_of_entries(info.inputs, info.rate_hz)
+
+
+def inputs_of_entries(entries: Sequence[model.Input], rate: float, *, needs_goals: bool = True) -> list[Input]:
+    """As `inputs_of`, of a policy that acts at `rate`; without `needs_goals`, steps do not wait for goals."""
     return [
         Input(
             field_of(entry),
             entry.dtype,
             *_ends(entry.range, entry.shape),
             max_age=np.inf if entry.max_age_s is None else entry.max_age_s,
-            every_step=entry.source != "goal" and entry.rate_hz >= info.rate_hz * 0.999,
+            every_step=entry.source != "goal" and entry.rate_hz >= rate * 0.999,
+            is_needed=needs_goals or entry.source != "goal",
         )
-        for entry in info.inputs
+        for entry in entries
     ]
 
 
@@ -156,7 +189,7 @@ def serve(
     lockstep: bool = False,
     log: Path | None = None,
     seconds: float | None = None,
-    note: Callable[[str], None] = lambda text: None,
+    note: Callable[[str], object] = lambda text: None,
 ) -> dict[str, Any]:
     """Serve until SIGINT or SIGTERM, or for `seconds`; returns the report of the server.
 
@@ -177,16 +210,18 @@ def serve(
     ]
     writer = _opened(log, bundle)
     try:
-        link = transport.open(receives, sends, robot=False)
+        scenario = bundle.info.scenario
+        about = About("policy", scenario.name, scenario.task_digest, pace(lockstep=lockstep, speed=speed))
+        link = transport.open(receives, sends, robot=False, about=about)
     except ServeError:
         if writer is not None:
             writer.close()
         raise
-    server = Server(bundle.start(), inputs, outputs, link, bundle.info.rate_hz, speed=speed, lockstep=lockstep, log=_Notes(writer, note))
+    server = Server(bundle.start(), inputs, outputs, link, bundle.info.rate_hz, speed=speed, lockstep=lockstep, log=Notes(writer, note))
     sources = ", ".join(dict.fromkeys(topic.name for _, topic in receives)) if transport.is_ros else "the robot"
     note(f"{bundle.info.scenario.name} acts at {bundle.info.rate_hz:g} Hz over {link.name}; it waits for {sources}")
     try:
-        with _stopping() as stopped:
+        with stopping() as stopped:
             server.run(_until(stopped, seconds, server, note))
     finally:
         link.close()
@@ -195,13 +230,23 @@ def serve(
     return server.report()
 
 
+def nothing_served(report: Mapping[str, Any], seconds: float | None) -> str:
+    """The sentence about a time that passed without a step; empty if there was one, or if the server ended by a signal."""
+    if seconds is None or report["steps"]:
+        return ""
+    missing = ", ".join(report["missing"][:5])
+    because = f": no value of {missing} came" if missing else ""
+    return f"the policy acted in no step in {seconds:g} s{because}"
+
+
 def _opened(path: Path | None, bundle: Bundle) -> LogWriter | None:
     if path is None:
         return None
     try:
         from deepbots_robot.log import LogWriter
 
-        return LogWriter(path, {"scenario": bundle.info.scenario.name, "digest": bundle.info.scenario.digest})
+        about = {"scenario": bundle.info.scenario.name, "digest": bundle.info.scenario.digest}
+        return LogWriter(path, about, files=bundle.description())
     except ModuleNotFoundError as error:
         raise ServeError(f"{error.name} is not installed; install it with: pip install {error.name}") from None
     except FileExistsError:
@@ -210,27 +255,35 @@ def _opened(path: Path | None, bundle: Bundle) -> LogWriter | None:
         raise ServeError(f"{path} cannot be written: {(error.strerror or 'unknown reason').lower()}") from None
 
 
-class _Notes:
+class Notes:
     """Passes on what happens to a log, and the more important part of it to a person."""
 
-    def __init__(self, log: LogWriter | None, note: Callable[[str], None]) -> None:
+    def __init__(self, log: LogWriter | None, note: Callable[[str], object]) -> None:
         self._log, self._note = log, note
         self._said: dict[str, float] = {}
 
-    def step(self, stamp: float, values: Mapping[str, Array], commands: Mapping[str, Array], answer: float, posture: str) -> None:
+    def step(
+        self,
+        stamp: float,
+        values: Mapping[str, Array],
+        commands: Mapping[str, Array],
+        answer: float,
+        posture: str,
+        ages: Mapping[str, float] = {},
+    ) -> None:
         if self._log is not None:
-            self._log.step(stamp, values, commands, answer, posture)
+            self._log.step(stamp, values, commands, answer, posture, ages)
 
     def event(self, stamp: float, kind: str, text: str) -> None:
         if self._log is not None:
             self._log.event(stamp, kind, text)
         now = time.monotonic()
-        if kind != "episode" and now - self._said.get(kind, -10.0) > 1.0:
+        if kind == "remark" or (kind != "episode" and now - self._said.get(kind, -10.0) > 1.0):
             self._said[kind] = now
             self._note({"safe": "safe posture: ", "refused": "refused: "}.get(kind, "") + text)
 
 
-class _stopping:  # noqa: N801  a context manager
+class stopping:  # noqa: N801  a context manager
     """Within, SIGINT and SIGTERM make `stopped()` true instead of ending the process."""
 
     def __enter__(self) -> Callable[[], bool]:
@@ -249,7 +302,7 @@ class _stopping:  # noqa: N801  a context manager
             signal.signal(number, handler)
 
 
-def _until(stopped: Callable[[], bool], seconds: float | None, server: Server, note: Callable[[str], None]) -> Callable[[], bool]:
+def _until(stopped: Callable[[], bool], seconds: float | None, server: Server, note: Callable[[str], object]) -> Callable[[], bool]:
     began = time.monotonic()
     said = False
 

@@ -17,8 +17,9 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 from websockets.sync.server import serve
 
+from deepbots_robot.about import About
 from deepbots_robot.link import MAX_BYTES, Arrival
-from deepbots_robot.messages import MessageSender, read
+from deepbots_robot.messages import MessageLink
 from deepbots_robot.topics import Field
 
 _SILENT = logging.getLogger(__name__)  # websockets writes a traceback for each connection that is no WebSocket
@@ -28,10 +29,12 @@ _MAX_WAITING = 4096
 """Messages that wait to be taken; the oldest are dropped."""
 
 
-class WebSocketLink(MessageSender):
+class WebSocketLink(MessageLink):
     """One end of a link over WebSocket: a policy listens on a port, a robot connects to it."""
 
-    def __init__(self, address: str, receives: Sequence[Field], sends: Sequence[Field], *, robot: bool = False) -> None:
+    def __init__(
+        self, address: str, receives: Sequence[Field], sends: Sequence[Field], *, robot: bool = False, about: About | None = None
+    ) -> None:
         """Listen at `PORT` of this machine or at `HOST:PORT`, or with `robot` connect to it.
 
         Raises:
@@ -42,8 +45,7 @@ class WebSocketLink(MessageSender):
             raise ValueError(f"'{address[:100]}' is no port; write one like 8765, or HOST:PORT")
         self._host, self._port = host or "127.0.0.1", int(port)
         self.name = f"WebSocket at {self._host}:{self._port}"
-        self._fields = {field.name: field for field in receives}
-        super().__init__(sends)
+        super().__init__(receives, sends, about)
         self._robot, self._peer = robot, None
         self._waiting: deque[str | bytes] = deque(maxlen=_MAX_WAITING)
         self._here = threading.Event()
@@ -58,6 +60,7 @@ class WebSocketLink(MessageSender):
 
     def _listen(self, peer: Any) -> None:
         """Take the messages of a connection, in a thread of its own, until it ends; the newest connection gets the answers."""
+        self._is_crowded |= self._peer is not None and not self._robot
         self._peer = peer
         with suppress(WebSocketException, OSError):
             for content in peer:
@@ -76,7 +79,7 @@ class WebSocketLink(MessageSender):
         while self._waiting:
             content = self._waiting.popleft()
             self._packed = isinstance(content, bytes)
-            found.append(read(content.encode() if isinstance(content, str) else content, self._fields))
+            found += self._received(content.encode() if isinstance(content, str) else content)
         return found
 
     def _write(self, content: bytes) -> None:

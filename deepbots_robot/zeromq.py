@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+import socket
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
@@ -13,18 +14,21 @@ from typing import Any
 import numpy as np
 import zmq
 
+from deepbots_robot.about import About
 from deepbots_robot.link import MAX_BYTES, Arrival
-from deepbots_robot.messages import MessageSender, read
+from deepbots_robot.messages import MessageLink
 from deepbots_robot.topics import Field
 
 ADDRESS = r"tcp://[A-Za-z0-9_.*:\[\]-]{1,255}:[0-9]{1,5}|ipc://[^\x00]{1,100}"
 _TAKEN = 256
 
 
-class ZmqLink(MessageSender):
+class ZmqLink(MessageLink):
     """One end of a link over ZeroMQ: a policy binds an address, a robot connects to it."""
 
-    def __init__(self, address: str, receives: Sequence[Field], sends: Sequence[Field], *, robot: bool = False) -> None:
+    def __init__(
+        self, address: str, receives: Sequence[Field], sends: Sequence[Field], *, robot: bool = False, about: About | None = None
+    ) -> None:
         """Bind the address, or with `robot` connect to it.
 
         Raises:
@@ -33,11 +37,12 @@ class ZmqLink(MessageSender):
         if not re.fullmatch(ADDRESS, address) or (address.startswith("tcp") and int(address.rpartition(":")[2]) > 65535):
             raise ValueError(f"'{address[:100]}' is no address of ZeroMQ; write one like tcp://127.0.0.1:5555")
         self.name = f"ZeroMQ at {address}"
-        self._fields = {field.name: field for field in receives}
-        super().__init__(sends)
-        self._robot, self._peer = robot, b""
+        super().__init__(receives, sends, about)
+        self._robot, self._peer, self._former = robot, b"", b""
+        if not robot and _is_taken(address):  # ZeroMQ would take the address away from the other policy
+            raise ValueError(f"{address} cannot be opened: address already in use")
         self._socket: Any = zmq.Context.instance().socket(zmq.DEALER if robot else zmq.ROUTER)
-        self._socket.setsockopt(zmq.LINGER, 100)
+        self._socket.setsockopt(zmq.LINGER, 1000)
         self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)
         try:
             if robot:
@@ -60,8 +65,11 @@ class ZmqLink(MessageSender):
             except zmq.Again:
                 break
             if not self._robot:
-                self._peer, self._packed = sender[0], content[:1] != b"{"
-            found.append(read(content, self._fields))
+                if sender[0] != self._peer:
+                    self._is_crowded |= sender[0] == self._former
+                    self._former, self._peer = self._peer, sender[0]
+                self._packed = content[:1] != b"{"
+            found += self._received(content)
         return found
 
     def _write(self, content: bytes) -> None:
@@ -73,3 +81,16 @@ class ZmqLink(MessageSender):
 
     def close(self) -> None:
         self._socket.close()
+
+
+def _is_taken(address: str) -> bool:
+    """Whether somebody listens at a socket file."""
+    if not address.startswith("ipc://"):
+        return False
+    with socket.socket(socket.AF_UNIX) as probe:
+        probe.settimeout(0.5)
+        try:
+            probe.connect(address.removeprefix("ipc://"))
+        except OSError:
+            return False
+    return True

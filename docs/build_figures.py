@@ -11,7 +11,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
-NAMES = ("frames", "rays", "regions", "terrain", "channel", "value", "curriculum", "intervals")
+NAMES = ("frames", "rays", "regions", "terrain", "channel", "value", "curriculum", "intervals", "loop")
 
 
 def figures() -> dict[str, str]:

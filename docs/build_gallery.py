@@ -1,12 +1,12 @@
 """The pages of the gallery: one for each shipped scenario that extends no other, with its variants as sections.
 
-A page begins with the text of docs/scenarios, if there is one. Spaces, rewards and endings are read from the compiled scenarios, results
-from docs/results/*.json. Nothing is simulated or trained here. Paths are relative to the root of the repository.
+A page begins with the text of docs/scenarios, if there is one. Spaces, rewards and endings are read from the compiled scenarios. Results
+are the cards of docs/results. Nothing is simulated or trained here. Paths are relative to the root of the repository.
 """
 
 from __future__ import annotations
 
-import json
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
@@ -17,16 +17,19 @@ from typing import Any, NamedTuple
 from deepbots_cli.cli.inspection import Tables, scenario_tables
 from deepbots_cli.cli.sources import open_source
 from deepbots_cli.document import Permissions
-from deepbots_cli.learning.statistics import wilson
 from deepbots_cli.program import Program
-from tests.results.experiment import Training, experiments
+from tests.results.experiment import experiments
+from tests.results.measure import Places, read
+from tests.results.standing import Headline, Standing
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTES = "docs/scenarios"
+CARDS = "docs/results"
 INDEX = "docs/worlds.md"
 _CARDS = re.compile(r"<!-- cards -->.*<!-- end of cards -->", re.DOTALL)
 _EXTENDS = re.compile(r"^extends: (\w+)", re.MULTILINE)
 _DIGITS = 4
+_DIFFICULTIES = {60: "CPU 0 to 1 min", 300: "CPU 1 to 5 min", math.inf: "CPU over 5 min"}
 
 
 class World(NamedTuple):
@@ -86,8 +89,12 @@ def world(name: str) -> World:
 
 
 def merged() -> dict[str, str]:
-    """Pages about variants, which are sections of the page of another scenario."""
-    return {f"{NOTES}/{variant}.md": f"{NOTES}/{base}.md" for base, variants in families().items() for variant in variants}
+    """Pages that are sections of the page of a scenario: about its variants, and cards of results."""
+    found = {}
+    for base, variants in families().items():
+        paths = [*(f"{NOTES}/{variant}.md" for variant in variants), *(f"{CARDS}/{name}.md" for name in (base, *variants))]
+        found |= dict.fromkeys(paths, f"{NOTES}/{base}.md")
+    return found
 
 
 def listed() -> list[tuple[str, str, str]]:
@@ -112,7 +119,7 @@ def picture_of(name: str) -> str | None:
 
 
 def _cards() -> Iterator[str]:
-    """A card for each page, with a line of robots, sensors and algorithms, which theme/static/gallery.js filters by."""
+    """A card for each page, with a line of robots, sensors, algorithms and difficulties, which theme/static/gallery.js filters by."""
     yield "````{container} cards"
     for base, variants in families().items():
         here = world(base)
@@ -120,12 +127,13 @@ def _cards() -> Iterator[str]:
         robots = dict.fromkeys(model for one in family for model in one.models)
         sensors = dict.fromkeys(sensor for one in family for sensor in one.sensors)
         algorithms = dict.fromkeys(one.algorithm for one in family)
+        difficulties = dict.fromkeys(filter(None, (difficulty(one.name) for one in family)))
         yield from ("```{container} card", "")
         picture = picture_of(base)
         if picture:
             yield from (f"[![{here.title}](images/{Path(picture).name})](scenarios/{base}.md)", "")
         yield from (f"[**{here.title}**](scenarios/{base}.md) {here.summary}", "")
-        yield f"*{' · '.join(', '.join(names) or 'none' for names in (robots, sensors, algorithms))}*"
+        yield f"*{' · '.join(', '.join(names) or 'none' for names in (robots, sensors, algorithms, difficulties))}*"
         if variants:
             yield from ("", f"Variants: {', '.join(f'`{variant}`' for variant in variants)}")
         yield from ("```", "")
@@ -145,7 +153,7 @@ def _page(base: str, variants: tuple[str, ...]) -> Iterator[str]:
     for variant in variants:
         other = world(variant)
         yield from ("", f"## {other.title}", "", *_variant_notes(variant), "", *_differences(here, other), "", *_file(variant))
-        yield from _results(variant, heading=False)
+        yield from _results(variant, level="###")
 
 
 def _notes(name: str) -> Iterator[str]:
@@ -282,58 +290,16 @@ def _file(name: str) -> Iterator[str]:
 # Results
 
 
-def _results(name: str, *, heading: bool = True) -> Iterator[str]:
-    """Trainings over seeds and baselines, as docs/results.md has them."""
-    experiment, path = experiments().get(name), ROOT / "docs" / "results" / f"{name}.json"
-    if experiment is None or not path.is_file():
-        yield from ("", "## Results", "", "There are no measured results for this scenario.") if heading else ()
-        return
-    record = json.loads(path.read_text(encoding="utf-8"))
-    rows, commands = [], []
-    for training in experiment.trainings:
-        for row in _trained(record, training):
-            rows.append(row)
-        entries = _entries(record, training)
-        commands += [re.sub(r"--seed \d+", "--seed N", str(entry["command"])) for entry in entries[:1]]
-    for baseline in experiment.baselines:
-        entry = record.get("baselines", {}).get(baseline.name)
-        if entry:
-            rows.append((baseline.words or baseline.name, "", "", *_measured(entry)))
-            commands.append(str(entry["command"]))
-    yield from ("", "## Results" if heading else "### Results", "")
-    if (ROOT / f"docs/images/results/{name}.svg").is_file():
-        yield from (f"![Learning curves of {experiment.title}](../images/results/{name}.svg)", "")
-    shown = 6 if any(row[5] for row in rows) else 5
-    yield from _table(("policy", "steps", "CPU", "episodes", "mean return", "successes")[:shown], [row[:shown] for row in rows])
-    anchor = re.sub(r"[^\w\- ]", "", experiment.title.lower()).replace(" ", "-")
-    yield from ("", f"Intervals are of 95 %. [Results](../results.md#{anchor}) has every seed, evaluation and target.", "")
-    yield from ("```console", *(f"$ {command}" for command in dict.fromkeys(commands)), "```")
+def _results(name: str, *, level: str = "##") -> Iterator[str]:
+    """The card of its results, below a heading of the level."""
+    text = (ROOT / CARDS / f"{name}.md").read_text(encoding="utf-8")
+    yield from ("", text[text.index("# Results") :].rstrip().replace("#", level, 1), "")
 
 
-def _entries(record: Mapping[str, Any], training: Training) -> list[Mapping[str, Any]]:
-    measured = record.get("trainings", {}).get(training.name, {})
-    return [measured[str(seed)] for seed in training.seeds if str(seed) in measured]
-
-
-def _trained(record: Mapping[str, Any], training: Training) -> Iterator[tuple[str, ...]]:
-    """A row for each seed that was measured."""
-    measured = record.get("trainings", {}).get(training.name, {})
-    label = "" if training.name == "main" else f", {training.words or training.name.replace('_', ' ')}"
-    for seed in training.seeds:
-        entry = measured.get(str(seed))
-        held = entry and next(iter(entry["evaluations"].values()), None)
-        if held:
-            yield (f"trained, seed {seed}{label}", f"{entry['steps']:,}", f"{entry['cpu_seconds']:.0f} s", *_measured(held))
-
-
-def _measured(entry: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Episodes, mean return and share of successes, each with its interval."""
-    low, high = entry["return_interval"]
-    shown = f"{_number(entry['mean_return'])} ({_number(low)} .. {_number(high)})"
-    if not entry["success_defined"]:
-        return f"{entry['episodes']:,}", shown, ""
-    low, high = wilson(entry["successes"], entry["episodes"])
-    return f"{entry['episodes']:,}", shown, f"{100 * entry['success_rate']:.4g} % ({100 * low:.3g} .. {100 * high:.3g} %)"
+def difficulty(name: str) -> str | None:
+    """By the CPU time of a training, the median of the seeds; None where nothing is measured."""
+    found = Headline.of(Standing.of(experiments()[name], read(Places().record(name))))
+    return found and next(words for limit, words in _DIFFICULTIES.items() if found.cpu_seconds < limit)
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:

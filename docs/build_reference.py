@@ -74,7 +74,7 @@ class _Keys:
             "",
             "`NAME` stands for a name of your choice. The column *known* says when deepbots knows a value: *fixed* values are"
             " constants, *episode* values may be drawn at each reset, and *step* values are computed in each timestep.",
-            "Values are stored in SI units; the unit 1 is a plain number. [The language](../language.md) describes how values are written."
+            "Values are stored in SI units; the unit 1 is a plain number. [Units](../units.md) describes how values are written."
             " The tests insert each example into a suitable scenario and run it.",
         ]
         return "\n".join([*head, *self._section("scenario", Scenario, ()), *_defaults()]) + "\n"
@@ -275,10 +275,10 @@ def _functions() -> str:
         "",
         _NOTE,
         "",
-        "[The language](../language.md) describes their use. The examples are about one scenario: a small two-wheeled `rover` with"
-        " a camera `eye` and rays `near`, its actions `gas` and `turn`, a `ball`, and a painted line `track`. The unit column gives the"
-        " unit in which a value is stored; 1 is a plain number. *fixed*, *episode* and *step* have the meaning that they have in [the"
-        " keys](keys.md).",
+        "[Units](../units.md) and [expressions](../language.md#expressions) describe their use. The examples are about one scenario: a"
+        " small two-wheeled `rover` with a camera `eye` and rays `near`, its actions `gas` and `turn`, a `ball`, and a painted line"
+        " `track`. The unit column gives the unit in which a value is stored; 1 is a plain number. *fixed*, *episode* and *step* have"
+        " the meaning that they have in [the keys](keys.md).",
         "",
         "## Units",
         "",
@@ -379,7 +379,7 @@ def _rules() -> str:
         "",
         _NOTE,
         "",
-        "Errors keep a scenario from being compiled; warnings do not, and can be suppressed. [Diagnostics](../diagnostics.md) describes"
+        "Errors keep a scenario from being compiled; warnings do not, and can be suppressed. [Findings](../diagnostics.md) describes"
         " the format of findings and the exit codes. A rule in preview may still give false positives, and runs with `--preview`. Rules"
         " that need a simulation run with [`--deep`](../linting.md#simulating), those that search for exploits of the reward with"
         " [`--exploits`](../linting.md#searching-for-exploits).",

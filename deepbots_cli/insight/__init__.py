@@ -15,4 +15,5 @@ study.py       one HTML file about a study of `deepbots tune`: history, importan
 templates.py   the templates of pages and of READMEs
 export/        a policy for a robot, as a folder that runs without deepbots
 robot.py       the simulation as a robot, which sends its sensors and obeys commands
+real_robot.py  episodes on a robot at the other end of a link, scored by what is measured
 """

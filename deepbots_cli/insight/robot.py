@@ -26,12 +26,13 @@ from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, Sta
 from deepbots_cli.insight.export.actuators import output
 from deepbots_cli.insight.export.readings import Reading, Readings
 from deepbots_cli.insight.export.recording import Watch, with_probes
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, identity
 from deepbots_cli.program.robots import Robot, Route
 from deepbots_cli.program.topics import mapping
 from deepbots_cli.rollout import Driver, Episode, Start, play
 from deepbots_cli.rollout.drivers import zero_action
 from deepbots_cli.runtime import Supervisor
+from deepbots_robot.about import About, pace
 from deepbots_robot.intake import Input, Intake
 from deepbots_robot.link import Link
 from deepbots_robot.model import Output
@@ -42,6 +43,9 @@ AGAIN = 0.25
 """Seconds without an answer after which a robot that waits sends its sensors again."""
 SILENT_STEPS = 5
 """Steps without a command after which the simulated robot prints a note."""
+_LAST = 1.0
+"""Seconds that a robot waits for an answer to the last values of an episode."""
+MOST_REMARKS = 100
 PATIENCE = 60.0
 """Seconds that a robot waits for the first command of an episode, and in lockstep for every command."""
 
@@ -194,6 +198,8 @@ class SimulatedRobot(Driver):
         self._obeyed: dict[str, list[float]] = {}
         self._first, self._due = True, 0.0
         self._note, self._silent_steps = note, 0
+        self._said: set[str] = set()
+        self._looked_at = -np.inf
         for robot in {entry.robot for entry in outputs}:
             self._take_over(environment, robot)
 
@@ -231,10 +237,20 @@ class SimulatedRobot(Driver):
         self._first = False
         return super().act(observation)
 
+    def finish(self) -> None:
+        """Send what the last step of an episode led to, if the other end scores it; it answers before the next episode begins."""
+        if any(other.scores for other in self.link.others()):
+            self._obeyed = {}
+            sent, stamp = time.monotonic(), time.time()
+            self.link.send(self._watch.inputs(), stamp)
+            while not self._received(None, stamp if self._lockstep else -np.inf) and time.monotonic() < sent + _LAST:
+                self.link.wait(0.1)
+
     def _announce(self) -> None:
         """Say that an episode begins, to a policy that is there."""
         until = time.monotonic() + self._patience
         while not self.link.connected():
+            self._look()
             if time.monotonic() > until:
                 raise UsageError(f"nobody listens on {self.link.name}; start the policy first: deepbots serve BUNDLE")
             time.sleep(0.01)
@@ -246,13 +262,29 @@ class SimulatedRobot(Driver):
         """Wait for commands that are not older than `since`; what was sent is sent again if none come."""
         again = sent + AGAIN
         while not self._received(sent, since):
+            self._look()
             now = time.monotonic()
             if now > sent + self._patience:
-                raise UsageError(f"no command came within {self._patience:g} s on {self.link.name}; is the policy one of this scenario?")
+                refused = "; ".join(self.intake.examples.values()) or "is the policy one of this scenario?"
+                raise UsageError(f"no command came within {self._patience:g} s on {self.link.name}: {refused}")
             if now > again:
                 self.link.send(values, time.time() if since == -np.inf else since)
                 again = now + AGAIN
             self.link.wait(max(0.0, again - now))
+
+    def _look(self) -> None:
+        """Say what does not fit at the other end, each sentence once.
+
+        Raises:
+            UsageError: Nothing works with the other end.
+        """
+        self._looked_at = time.monotonic()
+        for remark in self.link.remarks():
+            if remark.is_misfit:
+                raise UsageError(remark.text)
+            if remark.text not in self._said and len(self._said) < MOST_REMARKS:
+                self._said.add(remark.text)
+                self._note(remark.text)
 
     def _follow(self, sent: float | None) -> None:
         """Take commands until the step is due; the newest ones count. `sent` is None if what was sent is answered already."""
@@ -269,6 +301,8 @@ class SimulatedRobot(Driver):
         self._silent_steps = 0 if answered else self._silent_steps + 1
         if self._silent_steps == SILENT_STEPS:
             self._note(f"no command for {SILENT_STEPS} steps: the motors keep the last one")
+        if time.monotonic() > self._looked_at + 1.0:
+            self._look()
         self.late_steps += left < -self._period
         self._due = max(self._due + self._period, time.monotonic())
 
@@ -279,7 +313,10 @@ class SimulatedRobot(Driver):
                 if ACTION in arrival.fields and self._space.shape is not None:
                     self._action = _fitting(arrival.fields[ACTION], self._space, self._still)
                 else:
-                    self.intake.take(arrival, time.monotonic())
+                    refusal = self.intake.take(arrival, time.monotonic())
+                    if refusal is not None and not refusal.is_harmless and refusal.kind not in self._said:
+                        self._said.add(refusal.kind)
+                        self._note(f"a command is refused: {arrival.source}: {refusal.text}")
         if not self.intake.complete():
             return False
         for name, value in self.intake.values().items():
@@ -337,14 +374,17 @@ def serve_robot(
     try:
         sends = mapped([field_of(reading.info) for reading in readings], given)
         receives = mapped([field_of(entry) for entry in outputs], given, commands=True)
-        link = transport.open(receives, sends, robot=True)
+        about = About("robot", program.name, identity.task_digest(program), pace(lockstep=lockstep, speed=speed))
+        link = transport.open(receives, sends, robot=True, about=about)
     except ServeError as error:
         raise UsageError(str(error)) from None
     with closing(link), closing(api.build(with_probes(bare, readings), engine=engine, permissions=permissions)) as environment:
         robot = SimulatedRobot(environment, readings, outputs, link, lockstep=lockstep, speed=speed, patience=patience, note=note)
         number = 0
         while episodes is None or number < episodes:
-            yield play(environment, robot, Start.of_evaluation(seed, number)), robot
+            episode = play(environment, robot, Start.of_evaluation(seed, number))
+            robot.finish()
+            yield episode, robot
             number += 1
 
 

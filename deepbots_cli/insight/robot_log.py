@@ -6,7 +6,7 @@ simulation, and the values of each field are compared as distributions.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from math import sqrt
@@ -46,7 +46,11 @@ class LoggedEvent(NamedTuple):
 
 @dataclass
 class LoggedEpisode:
-    """An episode of a log; `begun` is in s since the beginning of the log, `answers` are answer times in s."""
+    """An episode of a log.
+
+    `number` counts the episodes of the log: a robot that restarts begins to count anew. `begun` is in s since the beginning of the log,
+    `seconds` the time until the last step of the policy, `answers` are answer times in s.
+    """
 
     number: int
     begun: float
@@ -56,29 +60,22 @@ class LoggedEpisode:
     answers: list[float] = field(default_factory=list)
     events: list[LoggedEvent] = field(default_factory=list)
 
+    def take(self, events: list[tuple[float, str, str]]) -> None:
+        """Move events to this episode; their times are in s since the beginning of the log."""
+        self.events += [LoggedEvent(at - self.begun, kind, text) for at, kind, text in events]
+        events.clear()
+
     @property
     def answer(self) -> float | None:
         """The median answer time, in s."""
         return float(np.median(self.answers)) if self.answers else None
 
 
-def is_robot_log(path: Path) -> bool:
-    """Whether a file is the log of `deepbots serve`, and no recording of a simulation."""
-    try:
-        from mcap import records
-        from mcap.stream_reader import StreamReader
-    except ModuleNotFoundError:
-        return False
-    try:
-        with path.open("rb") as file:
-            first = islice(StreamReader(file, record_size_limit=1 << 20).records, 8)
-            return any(isinstance(found, records.Metadata) and found.name == "deepbots_robot" for found in first)
-    except Exception:  # noqa: BLE001  mcap raises errors of many kinds for a file that is no MCAP file
-        return False
+def logged_episodes(path: Path, note: Callable[[str], object] = lambda text: None) -> list[LoggedEpisode]:
+    """The episodes of a log, in order. Commands before the first one are an episode of their own; other events then belong to the first.
 
-
-def logged_episodes(path: Path) -> list[LoggedEpisode]:
-    """The episodes of a log, in order; what comes before the first one belongs to an episode 0.
+    Args:
+        note: Called if the log is used in part; see `read_log`.
 
     Raises:
         UsageError: The file cannot be read as a log.
@@ -86,30 +83,37 @@ def logged_episodes(path: Path) -> list[LoggedEpisode]:
     from deepbots_robot.log import read_log
 
     found: list[LoggedEpisode] = []
+    before: list[tuple[float, str, str]] = []
     origin = None
     try:
-        for topic, stamp, content in read_log(path):
+        for topic, stamp, content in read_log(path, note):
             origin = stamp if origin is None else origin
             kind, text = str(content.get("kind", "")), str(content.get("text", ""))
             if topic == "/event" and kind == "episode" and text.isdecimal():
-                found.append(LoggedEpisode(int(text), stamp - origin))
-                continue
-            if not found:
-                found.append(LoggedEpisode(0, 0.0))
-            episode = found[-1]
-            time = stamp - origin - episode.begun
-            if topic == "/event":
-                episode.events.append(LoggedEvent(time, kind, text))
-                continue
-            episode.seconds = max(episode.seconds, time)
-            if content.get("posture") == "safe":
-                episode.safe_steps += 1
+                found.append(_begun(len(found), stamp - origin, before))
+            elif topic == "/event":
+                before.append((stamp - origin, kind, text))
+                if found:
+                    found[-1].take(before)
             else:
-                episode.steps += 1
-                episode.answers.append(float(content.get("answer", 0.0)))
+                if not found:
+                    found.append(_begun(0, 0.0, before))
+                episode = found[-1]
+                if content.get("posture") == "safe":
+                    episode.safe_steps += 1
+                else:
+                    episode.steps += 1
+                    episode.seconds = max(episode.seconds, stamp - origin - episode.begun)
+                    episode.answers.append(float(content.get("answer", 0.0)))
     except (OSError, ValueError, TypeError) as error:
         raise UsageError(f"{path} cannot be read as a log of `deepbots serve --log`: {error}") from error
-    return found
+    return found if not before else [_begun(0, 0.0, before)]
+
+
+def _begun(number: int, begun: float, events: list[tuple[float, str, str]]) -> LoggedEpisode:
+    episode = LoggedEpisode(number, begun)
+    episode.take(events)
+    return episode
 
 
 def explain_log(episode: LoggedEpisode) -> list[str]:
@@ -162,8 +166,13 @@ class _Field(NamedTuple):
     sensor: str
 
 
-def compare_log(run: Run, path: Path, *, model: ModelName = "best") -> list[FieldComparison]:
+def compare_log(
+    run: Run, path: Path, *, model: ModelName = "best", note: Callable[[str], object] = lambda text: None
+) -> list[FieldComparison]:
     """Compare a log of `deepbots serve` with the simulation of a run, the most different number first.
+
+    Args:
+        note: Called if the log is used in part; see `read_log`.
 
     Raises:
         MissingExtraError: What exports a policy, or reads a log, is not installed.
@@ -179,7 +188,9 @@ def compare_log(run: Run, path: Path, *, model: ModelName = "best") -> list[Fiel
     except ModuleNotFoundError as error:
         raise MissingExtraError("export", "reading the log of a robot") from error
     try:
-        steps = [(stamp, content) for topic, stamp, content in read_log(path) if topic == "/step" and content.get("posture") == "policy"]
+        steps = [
+            (stamp, content) for topic, stamp, content in read_log(path, note) if topic == "/step" and content.get("posture") == "policy"
+        ]
     except (OSError, ValueError) as error:
         raise UsageError(f"{path} cannot be read as a log of `deepbots serve --log`: {error}") from error
     if len(steps) < MIN_STEPS:

@@ -4,6 +4,7 @@ episode.py    `steps`, an episode of one environment; the result of an episode
 source.py     which scenario is meant: the one place that answers it
 drivers.py    who acts: a script, random or zero actions, a list of actions, a person
 recordings.py the episodes in a recording
+robot_logs.py the episodes in the log of a robot, with its scenario
 worlds.py     worlds that go on side by side, single ones or a batch
 collector.py  fragments of experience, by shards of worlds
 policies.py   a trained policy as a driver; evaluations in several worlds at a time

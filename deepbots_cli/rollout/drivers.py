@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from deepbots_cli.program import Program
     from deepbots_cli.runtime import Supervisor
 
-RANDOM, ZERO, HAND, POLICY, RECORDED = "random", "zero", "you", "policy", "recording"
+RANDOM, ZERO, HAND, POLICY, RECORDED, ROBOT = "random", "zero", "you", "policy", "recording", "robot"
 """Names of drivers besides the scripts of a scenario. `zero` is the middle of each range and the first option of each choice."""
 
 

@@ -71,9 +71,7 @@ class Recording:
             raise RecordingError(f"{path} is not a recording: it is not an MCAP file")
         metadata, files, steps = _content(path, data)
         if metadata is None:
-            raise RecordingError(
-                f"{path} is an MCAP file, but no recording of a simulation; use Foxglove, or for the log of a robot `deepbots replay`"
-            )
+            raise RecordingError(f"{path} is an MCAP file, but neither a recording of a simulation nor the log of a robot; use Foxglove")
         if metadata.get("format") != str(FORMAT):
             raise RecordingError(
                 f"{path} is a recording of format {metadata.get('format', '?')[:20]}, but this version of deepbots reads {FORMAT}; "
@@ -81,15 +79,8 @@ class Recording:
             )
         if "resolved.yaml" not in files or not steps:
             raise RecordingError(f"{path} is damaged: it contains no {'episode' if files else 'scenario'}")
-        found = Recording(path, metadata, list(_episodes(path, steps)), Path(mkdtemp(prefix="deepbots-recording-")))
+        found = Recording(path, metadata, list(_episodes(path, steps)), scenario_folder(path, files))
         weakref.finalize(found, shutil.rmtree, found.folder, ignore_errors=True)
-        for name, content in files.items():
-            target = found.folder / name
-            try:
-                target.parent.mkdir(parents=True, exist_ok=True)
-                target.write_bytes(content)
-            except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
-                raise RecordingError(f"{path} is damaged: it contains a file and a folder of the same name") from error
         return found
 
     def episode(self, number: int) -> RecordedEpisode:
@@ -126,7 +117,7 @@ def _content(path: Path, data: bytes) -> tuple[Mapping[str, str] | None, dict[st
                 metadata = found.metadata
             elif isinstance(found, records.Attachment):
                 size += len(found.data)
-                files[_safe(found.name)] = found.data
+                files[safe_name(found.name)] = found.data
             elif isinstance(found, records.Chunk):
                 # The unpacked size is in the frame too, and decompression goes by that one.
                 unpacked = get_frame_parameters(found.data).content_size if found.compression == "zstd" else len(found.data)
@@ -147,7 +138,25 @@ def _content(path: Path, data: bytes) -> tuple[Mapping[str, str] | None, dict[st
     return metadata, files, steps
 
 
-def _safe(name: str) -> str:
+def scenario_folder(path: Path, files: Mapping[str, bytes]) -> Path:
+    """A new folder with the scenario that is attached to the file `path`.
+
+    Raises:
+        RecordingError: A file and a folder have the same name.
+    """
+    folder = Path(mkdtemp(prefix="deepbots-recording-"))
+    for name, content in files.items():
+        target = folder / name
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(content)
+        except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise RecordingError(f"{path} is damaged: it contains a file and a folder of the same name") from error
+    return folder
+
+
+def safe_name(name: str) -> str:
     """The name of an attached file.
 
     Raises:

@@ -221,6 +221,7 @@ class Device:
         parameters = (faults.noise, faults.relative_noise, faults.bias, faults.relative_bias, faults.drift, faults.low, faults.resolution)
         self.chain = SensorErrors(faults, max(1, len(sensor.components))) if any(parameters) else None
         self._under_way: deque[tuple[int, int, Reading]] = deque()
+        self._followed: Callable[[], Reading] | None = None
 
     def vary(self, fault: str, values: Sequence[float]) -> None:
         """Set the values of a fault (a field of `NoiseModel`) for this episode, one per component, or the latency in s."""
@@ -228,6 +229,10 @@ class Device:
             (self._latency,) = values
         elif self.chain is not None:
             self.chain.vary(fault, values)
+
+    def follow(self, read: Callable[[], Reading]) -> None:
+        """Take each reading from `read`, as it is and in every timestep, instead of from the world."""
+        self._followed = read
 
     def reset(self, streams: Streams) -> None:
         """Begin an episode: a first reading is taken and delivered at once."""
@@ -246,7 +251,9 @@ class Device:
 
     def __call__(self) -> None:
         self._tick = tick = self._tick + 1
-        if self._period == 1 or tick % self._period == 0:
+        if self._followed is not None:
+            self.reading, self.sampled_at = self._followed(), tick
+        elif self._period == 1 or tick % self._period == 0:
             reading = self._sampled()
             if not self.delay:
                 self.reading, self.sampled_at = reading, tick
@@ -258,6 +265,8 @@ class Device:
             _, self.sampled_at, self.reading = self._under_way.popleft()
 
     def _sampled(self) -> Reading:
+        if self._followed is not None:
+            return self._followed()
         values = self.instrument.read()
         if self._lookup is not None:
             values = self._lookup(values)

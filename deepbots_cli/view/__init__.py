@@ -10,6 +10,7 @@ page.py        the page: controls, time, plots, and the loop that steps and draw
 panel.py       what the panel says
 pictures.py    PNG pictures, MP4 and GIF clips, and offline pages
 recordings.py  episodes as MCAP files: what is written and read
+logs.py        playing the log of a robot
 replay.py      playing a recording, and running it again to compare
 trajectories.py what moves in an episode, and where it went
 plots.py       learning curves of runs

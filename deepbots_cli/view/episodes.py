@@ -21,7 +21,8 @@ from deepbots_cli.learning.run import ModelName, Run, RunRecord
 from deepbots_cli.port import View
 from deepbots_cli.program import Program, identity
 from deepbots_cli.rollout import Driver, Start, Step, steps
-from deepbots_cli.rollout.drivers import HAND, POLICY, RANDOM, RECORDED, ZERO, action_from_values, named_driver
+from deepbots_cli.rollout.drivers import HAND, POLICY, RANDOM, RECORDED, ROBOT, ZERO, action_from_values, named_driver
+from deepbots_cli.rollout.robot_logs import RobotLog, is_robot_log
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.batch import BatchSupervisor
@@ -58,7 +59,7 @@ class Showing:
         """
         source = Source.open(self.reference, self.permissions, SourceKind.SCENARIO, SourceKind.RUN, SourceKind.RECORDING)
         if source.kind is SourceKind.RECORDING:
-            return self._open_recording(source.path)
+            return self._open_recording(source.path, is_log=is_robot_log(source.path))
         run, overrides = None, self.overrides
         if source.kind is SourceKind.RUN:
             run = Run.open(source)
@@ -75,7 +76,7 @@ class Showing:
         chosen = compiled.program.variant(self.case, self.stage)
         return ShowingState(chosen, compiled.findings, files, self, run, compiled=compiled, parameters=parameters)
 
-    def _open_recording(self, path: Path) -> ShowingState:
+    def _open_recording(self, path: Path, *, is_log: bool) -> ShowingState:
         from deepbots_cli.rollout.recordings import Recording
 
         if self.overrides or self.case or self.stage or self.engine or self.worlds or self.start:
@@ -83,7 +84,7 @@ class Showing:
                 "a recording already contains its scenario, case, stage, engine and start; "
                 "leave out --set, --case, --stage, --engine, --worlds and --start"
             )
-        recording = Recording.read(path)
+        recording = RobotLog.read(path) if is_log else Recording.read(path)
         compiled = api.compile(Source.kept(recording.folder, self.permissions))
         known = recording.metadata
         shown = replace(self, engine=known.get("engine") or None, case=known.get("case") or None, stage=known.get("stage") or None)
@@ -112,6 +113,8 @@ class ShowingState:
     @property
     def drivers(self) -> tuple[str, ...]:
         """What may act, the default first."""
+        if isinstance(self.recording, RobotLog):
+            return (ROBOT,)
         if self.recording is not None:
             return (RECORDED,)
         scripts = [script.name for script in self.program.agent.scripts] if self.program and not self.shown.worlds else []
@@ -139,8 +142,12 @@ class ShowingState:
             return BatchPlayer(self, driver)
         if self.recording is None:
             return Player(self, driver)
-        if driver not in (None, RECORDED):
+        if driver not in (None, *self.drivers):
             raise UsageError(f"a recording already contains its actions; leave out --driver {driver}")
+        if isinstance(self.recording, RobotLog):
+            from deepbots_cli.view.logs import LogPlayer
+
+            return LogPlayer(self)
         from deepbots_cli.view.replay import ReplayPlayer
 
         return ReplayPlayer(self)

@@ -87,6 +87,8 @@ class FrameLayout:
     robots: Mapping[str, RobotModel]
     sensor_rays: Mapping[str, SensorRays]
     messages: Mapping[str, tuple[PlottedField, ...]]
+    of_robot: tuple[str, ...] = ()
+    """Of the log of a robot, which has no reward: the groups of its values that are always plotted."""
 
     def goal_point(self, agent: AgentFrame, word: str) -> Triple | None:
         """The `achieved` or `desired` goal as a point (m, world frame), on the ground where it has no z; None where it is no position."""
@@ -290,8 +292,8 @@ class FrameReader:
         return WorldFrame(
             step=env.step_count,
             time=env.step_count * env.scenario.period,
-            links={part: read() for part, read in self._poses.items() if part[0] not in absent},
-            joints={name: tuple(float(state[0]) for state in read()) for name, read in self._joints.items()},
+            links={part: pose for part, pose in self.links().items() if part[0] not in absent},
+            joints=self.joints(),
             rays={key: tuple(map(float, read())) for key, read in self._rays.items()},
             readings={key: tuple(map(float, sensor.reading)) for key, sensor in self._sensors.items()},
             forces={part: force for part, force in forces.items() if force > 0.0},
@@ -305,6 +307,14 @@ class FrameReader:
             is_success=env.is_success,
             truncated=env.truncated,
         )
+
+    def links(self) -> dict[LinkName, Frame]:
+        """The pose of every link and object, also of absent ones."""
+        return {part: read() for part, read in self._poses.items()}
+
+    def joints(self) -> dict[str, tuple[float, ...]]:
+        """The positions of the moving joints of each robot."""
+        return {name: tuple(float(state[0]) for state in read()) for name, read in self._joints.items()}
 
     def _agent(self, agent: Supervisor, seen: Any, done: Any, episode_return: float) -> AgentFrame:
         vector, goal = seen, []

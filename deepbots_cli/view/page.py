@@ -398,12 +398,17 @@ class Page:
         for number, each in enumerate(layout.observation):
             fields.setdefault(each.group, []).append((each, partial(_observation_value, number)))
         fields |= {f"action: {each.name}": [(each, partial(_action_value, number))] for number, each in enumerate(layout.action)}
-        names = [self._title(number) for number in range(len(self.panels))] if self._compare else ["return"]
-        gui.add_html(panel.heading("return"))
-        self._plots = {"return": self._add_plot(names, 150, [lambda agent: agent.episode_return], range(len(self.panels)))}
-        gui.add_html(panel.heading("reward terms"))
-        terms = layout.terms[:_MAX_SERIES]
-        self._plots["terms"] = self._add_plot(terms, 200, [partial(_term_value, term) for term in terms])
+        self._plots = {}
+        for group in layout.of_robot:
+            gui.add_html(panel.heading(group))
+            self._plots[group] = self._add_fields(fields[group])
+        if not layout.of_robot:
+            names = [self._title(number) for number in range(len(self.panels))] if self._compare else ["return"]
+            gui.add_html(panel.heading("return"))
+            self._plots["return"] = self._add_plot(names, 150, [lambda agent: agent.episode_return], range(len(self.panels)))
+            gui.add_html(panel.heading("reward terms"))
+            terms = layout.terms[:_MAX_SERIES]
+            self._plots["terms"] = self._add_plot(terms, 200, [partial(_term_value, term) for term in terms])
         chosen = gui.add_dropdown("field", tuple(fields))
         folder = gui.add_folder(None)
 
@@ -411,13 +416,16 @@ class Page:
             """Plot the numbers of one entry of the observation, or one of the action, over its range."""
             if "field" in self._plots:
                 self._plots["field"][0].remove()
-            shown = fields[chosen.value][:_MAX_SERIES]
-            limits = min(field.low for field, _ in fields[chosen.value]), max(field.high for field, _ in fields[chosen.value])
             with folder:
-                self._plots["field"] = self._add_plot([f.name for f, _ in shown], 220, [value for _, value in shown], limits=limits)
+                self._plots["field"] = self._add_fields(fields[chosen.value])
 
         chosen.on_update(lambda _: self._tasks.put(plot))
         plot()
+
+    def _add_fields(self, fields: Sequence[tuple[PlottedField, PlottedValue]]) -> Any:
+        """An empty plot of the first of these numbers, over their range."""
+        limits = min(field.low for field, _ in fields), max(field.high for field, _ in fields)
+        return self._add_plot([f.name for f, _ in fields[:_MAX_SERIES]], 220, [value for _, value in fields[:_MAX_SERIES]], limits=limits)
 
     def _add_plot(
         self,
@@ -691,7 +699,8 @@ class Page:
         state = (frame.ending or ("press a key to begin" if self._waiting else "running")) + (" (paused)" if self.paused else "")
         state = f"{self._title(number)}: {state}" if self._compare else state
         color = ("#009E73" if frame.is_success else "#E69F00" if frame.truncated else "#D55E00") if frame.ended_by else "#0072B2"
-        numbers = f"episode {self.episode + player.world}, step {frame.step}, {frame.time:.2f} s, return {agent.episode_return:.2f}"
+        total = "" if player.reader.layout.of_robot else f", return {agent.episode_return:.2f}"
+        numbers = f"episode {self.episode + player.world}, step {frame.step}, {frame.time:.2f} s{total}"
         note = f"<br>{html.escape(player.note)}" if player.note else ""
         return panel.notice(state, f"{numbers}{note}{self._score()}", color)
 

@@ -20,17 +20,18 @@ def table(rows: Iterable[str]) -> str:
 
 
 def agent_rows(layout: FrameLayout, agent: AgentFrame) -> Iterator[str]:
-    """Reward terms, action and observation."""
-    yield _head("reward terms of this step")
-    yield from (_row(name, f"{value:+.4f}") for name, value in [*agent.terms.items(), ("sum", agent.reward)])
+    """Reward terms, action and observation; of the log of a robot, commands and what the policy knew."""
+    if not layout.of_robot:
+        yield _head("reward terms of this step")
+        yield from (_row(name, f"{value:+.4f}") for name, value in [*agent.terms.items(), ("sum", agent.reward)])
     if agent.action is not None:
-        yield _head("action")
+        yield _head("commands" if layout.of_robot else "action")
         yield from (_bar(field, value) for field, value in list(zip(layout.action, agent.action, strict=True))[:_MAX_ROWS])
     if agent.allowed:
         options = [f"{entry.name}: {option}" for entry in layout.action for option in entry.options]
         forbidden = [option for option, may in zip(options, agent.allowed, strict=False) if not may]
         yield _row(f"forbidden in the next step: {', '.join(forbidden)}", "")
-    yield _head("observation")
+    yield _head("reported by the robot" if layout.of_robot else "observation")
     yield from (_bar(field, value) for field, value in list(zip(layout.observation, agent.observation, strict=True))[:_MAX_ROWS])
     left = len(layout.observation) - _MAX_ROWS
     if left > 0:

@@ -14,6 +14,7 @@ from deepbots_cli.port import View
 from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import RECORDED, sequence_driver
 from deepbots_cli.rollout.recordings import RecordedEpisode, Recording, RecordingError, actions, damaged
+from deepbots_cli.rollout.robot_logs import LoggedEpisode
 from deepbots_cli.view.episodes import Player, ShowingState
 from deepbots_cli.view.frames import WorldFrame
 from deepbots_cli.view.recordings import NS_PER_S, TopicEncoder, read_frame, versions
@@ -21,6 +22,8 @@ from deepbots_cli.view.recordings import NS_PER_S, TopicEncoder, read_frame, ver
 
 class ReplayPlayer(Player):
     """Plays a recording: frames come from the file, and the environment holds the world that they are drawn in."""
+
+    _recorded: RecordedEpisode | LoggedEpisode
 
     def __init__(self, opened: ShowingState) -> None:
         """Make the environment.
@@ -30,6 +33,7 @@ class ReplayPlayer(Player):
         """
         assert isinstance(opened.recording, Recording)
         self.recording = opened.recording
+        self._numbers = [each.number for each in self.recording.episodes]
         self._read = lru_cache(maxsize=2000)(self._frame_of)
         super().__init__(opened, RECORDED)
 
@@ -39,15 +43,13 @@ class ReplayPlayer(Player):
 
     def begin(self, seed: int, episode: int) -> WorldFrame:
         """The first frame of an episode of the recording; `seed` is that of the recording."""
-        first = self.recording.episodes[0].number
-        self._recorded = self.recording.episode(first if episode == 0 else episode)
+        self._recorded = self.recording.episode(self._numbers[0] if episode == 0 else episode)
         self.env.reset(seed=self._recorded.seed)  # colors and light, which frames do not hold
         return self.seek(0)
 
     def next_episode(self, episode: int) -> int:
         """The number of the next episode; after the last comes the first."""
-        numbers = [each.number for each in self.recording.episodes]
-        return numbers[(numbers.index(self._recorded.number) + 1) % len(numbers)]
+        return self._numbers[(self._numbers.index(self._recorded.number) + 1) % len(self._numbers)]
 
     @property
     def length(self) -> int:

@@ -9,4 +9,5 @@ channel.py    messages on their way through a channel
 value.py      the way of a value from the robot file to the policy
 curriculum.py the success rate over the stages of a curriculum
 intervals.py  the interval of a success rate
+loop.py       the loop of observation, action and reward
 """

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("onnx")
@@ -12,6 +14,8 @@ pytest.importorskip("onnxruntime")
 from deepbots_cli.analysis.deployment import Deployment
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import UsageError
+from deepbots_cli.insight.export.graph import numbers_read
+from deepbots_robot import Bundle
 from tests.bundle.untrained import compared, made
 from tests.few import WORLDS, few
 
@@ -101,3 +105,33 @@ def test_what_cannot_be_exported_is_named(overrides, named):
     with pytest.raises(UsageError) as caught:
         made("find_and_avoid", *overrides)
     assert named in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "unused"),
+    [
+        ("cartpole", {"position(cart)": {1, 2}, "velocity(cart)": {1, 2}, "velocity(cart.tip)": {1, 2}}),
+        ("balancer", {"bot.accel": {1}, "bot.gyro": {0, 2}}),
+    ],
+)
+def test_numbers_that_the_graph_does_not_read_change_nothing_and_all_others_do(scenario: str, unused: dict[str, set[int]]) -> None:
+    step, _, known = made(scenario)
+    read = numbers_read(step.model({}))
+    found = {entry.name: {*range(entry.shape[0])} - read[entry.name] for entry in known.info.inputs}
+    assert {name: places for name, places in found.items() if places} == unused
+    dice = np.random.default_rng(0)
+    changed = {(entry.name, place): 0 for entry in known.info.inputs for place in range(entry.shape[0])}
+    for _ in range(20):
+        values = {entry.name: dice.normal(0.0, 0.1, entry.shape) for entry in known.info.inputs}
+        wanted = results(known, values)
+        for name, place in changed:
+            other = {key: value.copy() for key, value in values.items()}
+            other[name][place] += 0.05
+            changed[name, place] += results(known, other) != wanted
+    assert {key for key, count in changed.items() if not count} == {(name, place) for name, places in unused.items() for place in places}
+
+
+def results(known: Bundle, values: dict[str, Any]) -> list[bytes]:
+    """All outputs of two steps with these values."""
+    policy = known.start()
+    return [value.tobytes() for _ in range(2) for value in policy.step(values).values()]

@@ -57,6 +57,24 @@ def test_a_policy_remembers_until_it_is_reset(folder: Path) -> None:
     assert [other.step(row)["bot.wheels"].tolist() for row in rows] == first  # each policy has a memory of its own
 
 
+def test_in_a_loop_that_is_a_multiple_faster_the_policy_acts_on_every_nth_call(folder: Path) -> None:
+    known = deepbots_robot.load(folder)
+    policy, fast = known.start(), known.start(3 * known.info.rate_hz)
+    dice = np.random.default_rng(0)
+    rows = [values_of(known, dice) for _ in range(12)]
+    wanted = [policy.step(row)["bot.wheels"].tolist() for row in rows[::3]]
+    assert [fast.step(row)["bot.wheels"].tolist() for row in rows] == [command for command in wanted for _ in range(3)]
+    fast.reset()
+    assert fast.step(rows[0])["bot.wheels"].tolist() == wanted[0]
+
+
+@pytest.mark.parametrize("ratio", [0.5, 1.5, 0.0, -1.0, float("nan"), float("inf")])
+def test_another_rate_is_refused(folder: Path, ratio: float) -> None:
+    known = deepbots_robot.load(folder)
+    with pytest.raises(BundleError, match="no whole multiple"):
+        known.start(ratio * known.info.rate_hz)
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [

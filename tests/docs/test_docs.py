@@ -24,6 +24,7 @@ from deepbots_cli.diagnostics.findings import suppress
 from deepbots_cli.document import loads
 from deepbots_cli.lint import pages_of
 from deepbots_cli.lint import static_findings as run_rules
+from tests.docs.test_docs_tutorials import TUTORIALS
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = sorted(path.parent for path in (ROOT / "deepbots_cli").rglob("__init__.py"))
@@ -79,6 +80,8 @@ def test_a_scenario_in_the_docs_is_what_the_text_says(block: Block):
     mark, _, code = block.mark.partition(" ")
     if mark == "wrong":
         assert code in {finding.code for finding in findings_of(UPON_CARTPOLE + block.text)}
+    elif mark == "part":  # of a file, which the tests of the tutorials lint
+        assert block.page.removeprefix("docs/").removesuffix(".md") in TUTORIALS
     elif mark == "deep":  # simulated by the tests of the pages
         assert block.text.strip() in {page.example for page in pages_of(code) if page.deep}
     elif mark == "fragment":
@@ -115,7 +118,7 @@ def test_a_command_in_the_docs_is_one(place: str, line: str):
         assert words[1] in targets
         return
     if words[0] != "deepbots":
-        assert words[:2] in (["pip", "install"], ["python3.11", "-m"]) or words[0] == "."
+        assert words[:2] in (["pip", "install"], ["python3.11", "-m"]) or words[0] in (".", "mkdir", "cd")
         return
     verb, *arguments = words[1:]
     assert verb in COMMANDS

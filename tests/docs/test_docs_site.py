@@ -38,8 +38,11 @@ def sources(site: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def pages(sources: Path) -> dict[str, str]:
     """The text of each page without its code, by its place in the site."""
-    texts = {path.relative_to(sources).as_posix(): path.read_text(encoding="utf-8") for path in sources.rglob("*.md")}
-    return {place: re.sub(r"^```\w.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL) for place, text in texts.items()}
+    return {path.relative_to(sources).as_posix(): without_code(path.read_text(encoding="utf-8")) for path in sources.rglob("*.md")}
+
+
+def without_code(text: str) -> str:
+    return re.sub(r"^```\w.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
 
 
 def targets(place: str, text: str) -> list[tuple[str, str]]:
@@ -88,8 +91,18 @@ def test_a_page_of_the_gallery_shows_names_ranges_and_units(pages: dict[str, str
     assert "| 0 | `x` | -0.4 .. 0.4 | `m` | -1 .. 1 |" in page
     assert "| `drive` | choice | forward (drive = 1), backward (drive = -1) | `1` |" in page
     assert "| `fallen` | failure | `abs(cart.pole_angle) > fall_angle` |" in page
-    assert re.search(r"\| trained, seed 201 \| 25,400 \| 26 s \| 100 \| 200 \(200 \.\. 200\) \|", page)
-    assert re.search(r"\| random \|  \|  \| 100 \| 33\.38 \(31\.5 \.\. 35\.26\) \|", page)
+    assert "| 201 | 25 393 steps, 231 episodes | 0.226 | 25 400 steps, 231 episodes | 0.226 | 25.6 s |" in page
+    assert "| held out | all | 500 |  | 200 | 200, 200 | max_steps 500 |" in page
+    assert "| random |  | 100 |  | 33.38 (31.5 .. 35.26) | 19, 62 | fallen 100 |" in page
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_every_scenario_has_its_results_in_the_gallery_and_curves_where_it_was_trained(name: str, pages: dict[str, str]) -> None:
+    card = without_code((DOCS / "results" / f"{name}.md").read_text(encoding="utf-8")).partition("\n# ")[2].rstrip()
+    assert sum(f"## {card}\n" in text or f"### {card}\n" in text for text in pages.values()) == 1
+    record = DOCS / "results" / f"{name}.json"
+    is_trained = record.is_file() and "trainings" in json.loads(record.read_text(encoding="utf-8"))
+    assert is_trained == (f"images/results/{name}.svg)" in card)
 
 
 def test_every_page_of_the_gallery_has_a_picture(site: ModuleType) -> None:
@@ -187,6 +200,10 @@ def test_a_browser_filters_the_gallery_finds_words_and_fits_pages_to_a_phone(bui
         assert tab.run(shown) == ["Hover"]
         tab.run(choose.format(2, "SAC"))
         assert tab.run(shown) == []
+        for index in range(3):
+            tab.run(choose.format(index, ""))
+        tab.run(choose.format(3, "CPU over 5 min"))
+        assert tab.run(shown) == ["FindAndAvoid", "FindBallRandom", "PandaPush", "A1Velocity", "Tag"]
         tab.call("Emulation.setDeviceMetricsOverride", width=380, height=800, deviceScaleFactor=1, mobile=False)
         for name in ("index", "worlds", "start", "results", "reference/keys", "reference/commands", "scenarios/quadruped", "agents"):
             tab.call("Page.navigate", url=(built_site / f"{name}.html").as_uri())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from contextlib import closing
 from itertools import islice
 from pathlib import Path
 
@@ -14,9 +15,10 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
-from deepbots_cli.insight.robot_log import compare_log, distance
+from deepbots_cli.insight.robot_log import compare_log, distance, logged_episodes
 from deepbots_cli.learning import policy, train
 from deepbots_cli.learning.run import Run
+from deepbots_cli.view.episodes import Showing
 
 pytest.importorskip("onnxruntime")
 BRIEF = "train={algorithm: PPO, total_timesteps: 128, environments: 2, n_steps: 64, batch_size: 64, network: {hidden: [16]}}"
@@ -106,11 +108,128 @@ def test_the_episodes_of_a_log_are_listed_and_explained(tmp_path: Path, capsys: 
     assert main(["replay", str(path), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["episodes"]
     assert [(each["number"], each["begun"], each["steps"], each["safe_steps"]) for each in found] == [(0, 0.0, 1, 0), (1, 10.0, 1, 1)]
+    assert [each["seconds"] for each in found] == [0.5, 0.5]  # without the time in which no policy acted
     assert main(["diagnose", str(path), "--episode", "1"]) == 0
     shown = capsys.readouterr().out
-    assert "episode 1: 1 steps of the policy in 0.6 s; median answer 2.00 ms" in shown
+    assert "episode 1: 1 steps of the policy in 0.5 s; median answer 2.00 ms" in shown
     assert "0.60 s  safe posture: no new value of cart.pole_angle" in shown
     assert main(["diagnose", str(path), "--episode", "7"]) == 2
     assert "has no episode 7; list them with: deepbots replay" in capsys.readouterr().err
     assert main(["view", str(path)]) == 2
-    assert "no recording of a simulation" in capsys.readouterr().err
+    assert "is the log of a robot without the scenario" in capsys.readouterr().err
+
+
+def test_episodes_of_a_robot_that_restarts_have_numbers_of_their_own(tmp_path: Path) -> None:
+    from deepbots_robot.log import LogWriter
+
+    path = tmp_path / "log.mcap"
+    writer = LogWriter(path, {}, clock=lambda: 0.0)
+    writer.event(9.0, "refused", "a message")
+    for begun in (10.0, 20.0, 30.0):
+        writer.event(begun, "episode", "0")
+        writer.step(begun + 1.0, {}, {"cart.wheels": np.zeros(4)}, 0.002, "policy")
+    writer.close()
+    found = logged_episodes(path)
+    assert [(each.number, each.steps, len(each.events)) for each in found] == [(0, 1, 1), (1, 1, 0), (2, 1, 0)]
+
+
+def test_a_log_that_a_kill_cut_is_used_with_a_note(run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = logged(run, tmp_path / "whole.mcap", lambda time, angle: angle)
+    cut = tmp_path / "cut.mcap"
+    content = whole.read_bytes()
+    cut.write_bytes(content[: len(content) // 2])
+    for command in (["replay", str(cut)], ["diagnose", str(cut)], ["transfer", str(run.path), "--log", str(cut)]):
+        assert main(command) == 0
+        told = capsys.readouterr()
+        found = re.findall(r"cut.mcap has no end: its process was killed, or it is damaged; its first (\d+) messages are used", told.err)
+        assert [100 < int(number) < 300 for number in found] == [True]
+        assert main([*command[:-1], str(whole)]) == 0
+        assert "has no end" not in capsys.readouterr().err
+
+
+# In the page
+
+
+@pytest.fixture(scope="module")
+def shown(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log with a step in each of two episodes, then silence; the process was killed."""
+    from deepbots_cli.insight.export.bundle import bundle_files
+    from deepbots_robot.bundle import load
+    from deepbots_robot.log import LogWriter
+
+    folder = tmp_path_factory.mktemp("bundle")
+    for name, content in bundle_files(run, "best").items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+    path = tmp_path_factory.mktemp("logs") / "killed.mcap"
+    writer = LogWriter(path, {}, clock=lambda: 0.0, files=load(folder).description())
+    values = {"position(cart)": np.array([0.3, 0.1, 0.04]), "cart.pole_angle": np.array([0.2]), "velocity(cart)": np.zeros(3)}
+    for number, begun in enumerate((10.0, 20.0)):
+        writer.event(begun, "episode", str(number))
+        for step in range(3):
+            commands = {"cart.wheels": np.full(4, float(step))}
+            writer.step(begun + step * PERIOD, values, commands, 0.002, "policy", {"cart.pole_angle": 0.05})
+    writer.event(20.2, "safe", "no new value of cart.pole_angle")
+    for stamp in (20.2, 20.3):
+        writer.step(stamp, {}, {"cart.wheels": np.zeros(4)}, 0.0, "safe", {"cart.pole_angle": 0.15})
+    writer._file.flush()
+    killed = path.with_name("cut.mcap")
+    killed.write_bytes(path.read_bytes()[:-3])
+    writer.close()
+    return killed
+
+
+def test_joints_and_poses_of_a_log_move_the_model_and_all_else_stands(shown: Path) -> None:
+    with closing(Showing(str(shown)).open().player()) as player:
+        frame = player.begin(0, 1)
+        joints = dict(zip((joint.name for joint in player.env.world.robots[0].model.moving_joints), frame.joints["cart"], strict=True))
+        assert joints == pytest.approx({**dict.fromkeys(joints, 0.0), "pole_hinge": 0.2})
+        root = player.env.world.robots[0].model.root
+        assert frame.links["cart", root][0] == pytest.approx((0.3, 0.1, 0.04), abs=1e-6)
+        assert "the log moves position(cart), cart.pole_angle" in player.note
+
+
+def test_what_the_robot_reported_and_got_is_in_the_frames(shown: Path) -> None:
+    with closing(Showing(str(shown)).open().player()) as player:
+        player.begin(0, 1)
+        seen = []
+        for _ in range(2):
+            frame = player.step()
+            (agent,) = frame.agents.values()
+            names = [field.name for field in player.reader.layout.observation]
+            values = dict(zip(names, agent.observation, strict=True))
+            seen.append((frame.time, values["cart.pole_angle"], values["answer time"], values["age of cart.pole_angle"], values["posture"]))
+            assert agent.action == (frame.step,) * 4
+        assert seen == [pytest.approx(row) for row in ((PERIOD, 0.2, 2.0, 50.0, 0.0), (2 * PERIOD, 0.2, 2.0, 50.0, 0.0))]
+
+
+def test_the_page_plays_a_log_that_was_cut_up_to_its_last_whole_step(shown: Path) -> None:
+    pytest.importorskip("viser")
+    from deepbots_cli.view.page import Page
+
+    with closing(Page(Showing(str(shown)), port=0, episode=1)) as page:
+        page.seek(99)
+        assert page.player is not None
+        assert page.player.frame.ended_by == "end of the log"
+        assert "safe posture: no new value of cart.pole_angle" in page._banner.content
+        assert "return" not in page._banner.content
+        assert "reported by the robot" in page._values.content
+
+
+def test_a_log_with_damaged_content_is_refused_in_one_sentence(shown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from deepbots_robot.log import LogWriter, read_attached
+
+    files = read_attached(shown)
+    wrong = {
+        "a description": {**files, "bundle.json": b"{}"},
+        "a path": {**files, "inputs/../../evil.urdf": b""},
+        "no step": files,
+    }
+    for number, attached in enumerate(wrong.values()):
+        path = tmp_path / f"{number}.mcap"
+        writer = LogWriter(path, {}, files=attached)
+        writer.close()
+        assert main(["view", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("cannot be read as the log of a robot: ") == 2
+    assert "contains no step" in said

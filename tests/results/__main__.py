@@ -1,11 +1,12 @@
-"""Measures what is missing or stale of docs/results, and renders docs/results.md and docs/benchmark.md.
+"""Measures what is missing or stale of docs/results, and renders the pages: docs/results.md, docs/benchmark.md,
+docs/reference/measurements.md and docs/results/*.md.
 
     python -m tests.results                     everything
     python -m tests.results pit_escape costs    a scenario and a part
     python -m tests.results benchmark           the algorithms on the tasks of the benchmark; benchmark/cartpole is one of them
     python -m tests.results --list              what there is, and how many pieces of it are missing
     python -m tests.results cartpole --anew     forget what was measured, and measure it again
-    python -m tests.results --render            only write the pages and their pictures
+    python -m tests.results --render            only write the pages and pictures
 
 It may be stopped at any time, and goes on when it is called again: finished pieces are in docs/results, and unfinished trainings in
 runs/results.
@@ -33,7 +34,7 @@ def main(arguments: list[str] | None = None, places: Places | None = None) -> in
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help="scenarios and parts; all by default")
     parser.add_argument("--anew", action="store_true", help="forget what was measured before")
-    parser.add_argument("--render", action="store_true", help="only write the pages and their pictures")
+    parser.add_argument("--render", action="store_true", help="only write the pages and pictures")
     parser.add_argument("--list", action="store_true", help="what there is, and how many pieces of it are missing")
     given = parser.parse_args(arguments)
     known: dict[str, Experiment | Part] = {**experiments(), **{part.name: part for part in PARTS}, **benchmark.experiments()}

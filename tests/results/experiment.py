@@ -312,12 +312,22 @@ class Mark:
 
 
 @dataclass(frozen=True)
+class Beside:
+    """A figure of the trained policies beside that of the paper, as text."""
+
+    words: str
+    paper: str
+    figure: Figure
+
+
+@dataclass(frozen=True)
 class Experiment:
     """All that is measured of one scenario: a shipped one by name, or a file by its path from the root of the repository.
 
-    `prose` and `paper` are for the page: what the task is, and what is known of it elsewhere. `curve` is what the picture shows: the mean
-    return of 100 episodes, or their share of successes. `engines` are compared by their speed. Records of a `group` have a folder of
-    its name.
+    `prose` and `paper` are paragraphs of its card: how to read the figures, and the results of others. `beside` are rows of the table
+    beside the paper. `case` is the one shown on the page of results; the scenario itself by default. `curve` is what the
+    picture shows: the mean return of 100 episodes, or their share of successes. `engines` are compared by their speed. Records of a
+    `group` have a folder of its name.
     """
 
     scenario: str
@@ -327,6 +337,8 @@ class Experiment:
     bars: tuple[Bar, ...]
     baselines: tuple[Baseline, ...] = ()
     paper: str = ""
+    beside: tuple[Beside, ...] = ()
+    case: str | None = None
     marks: tuple[Mark, ...] = ()
     curve: Literal["return", "success"] = "return"
     engines: tuple[str, ...] = ()
@@ -344,9 +356,12 @@ class Experiment:
 _FIRST = (
     "cartpole",
     "cartpole_continuous",
+    "cartpole_long",
+    "cartpole_wireless",
     "multi_cartpole",
     "pit_escape",
     "find_ball",
+    "find_ball_as_printed",
     "find_ball_random",
     "find_and_avoid",
     "find_and_avoid_unmasked",

@@ -56,16 +56,22 @@ KEPT = (
 
 @dataclass(frozen=True)
 class Places:
-    """`records` holds a JSON file for each scenario and part, `pictures` the learning curves, `runs` what was trained."""
+    """`records` holds a JSON file for each scenario and part, and a card for each scenario; `pictures` the learning curves, `runs` what was
+    trained.
+    """
 
     records: Path = ROOT / "docs" / "results"
     page: Path = ROOT / "docs" / "results.md"
+    measurements: Path = ROOT / "docs" / "reference" / "measurements.md"
     pictures: Path = ROOT / "docs" / "images" / "results"
     runs: Path = ROOT / "runs" / "results"
     benchmark: Path = ROOT / "docs" / "benchmark.md"
 
     def record(self, name: str) -> Path:
         return self.records / f"{name}.json"
+
+    def card(self, name: str) -> Path:
+        return self.records / f"{name}.md"
 
     def picture(self, name: str) -> Path:
         return self.pictures / f"{name}.svg"

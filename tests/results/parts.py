@@ -1,4 +1,4 @@
-"""The parts of the results page that are no scenario: costs, physics, channel, and what holds.
+"""The parts of docs/reference/measurements.md: costs, physics, channel, lint, and what holds.
 
 A table is measured again when anything has changed that it could depend on: the package, the scenarios and robots, the tests.
 """
@@ -36,7 +36,7 @@ class Holding:
 
 @dataclass(frozen=True)
 class Part:
-    """A section of the page with its tables; `figure` heads the column of what was measured."""
+    """A section of docs/reference/measurements.md with its tables; `figure` heads the column of what was measured."""
 
     name: str
     title: str
@@ -49,39 +49,37 @@ COSTS = Part(
     name="costs",
     title="What it costs",
     prose="""\
-Steps of the environment are compared with bare physics: the same engine, world, substeps and motion, without resets. "Layered by hand"
-is an ordinary environment with a supervisor, a robot and messages, written directly upon PyBullet and numpy
-(`tests/benchmarks/layered.py`). Its cost depends on its style: values clipped as one array, or joints read in one batch, make it
-quicker; the file says by how much. "A plain environment by hand" is one class around PyBullet's functions with PyBullet's defaults
-(`tests/benchmarks/plain_cost.py`); docs/engines.md says what makes the difference. Each sensor is timed by itself, on a rover that
-drives in an arena, and has no bar. Answers of the language server are timed over its standard streams at random places, a quarter of
-them right after a change of the text. Linting is timed as installed, with modules compiled before. Times depend on the machine: a busy
-neighbor adds a tenth to a quarter. Beside such, the quadruped has come out at 1.12 to 1.23 and FindBallRandom at 1.28 to 1.36;
-FindBallRandom works out what it remembers of the way in every step.""",
+Steps of an environment are compared with bare physics: the same engine, world, substeps and motion, without resets. "Layered by hand"
+is an environment with a supervisor, a robot and messages, written directly on PyBullet and numpy (`tests/benchmarks/layered.py`, which
+says how its style changes the cost). "A plain environment by hand" is one class around PyBullet's functions with PyBullet's defaults
+(`tests/benchmarks/plain_cost.py`); [Physics engines](../engines.md) explains the difference. Each sensor is timed on a rover that drives
+in an arena, and has no bar. Answers of the language server are timed over its standard streams at random places, a quarter of them
+directly after a change of the text. Linting is timed as installed, with compiled modules. Other processes on the machine add 10 to 25 %
+to all times. Beside them, the quadruped had 1.12 to 1.23, and FindBallRandom, which computes its memory in every step, 1.28 to 1.36.""",
     tables=tuple(map(Benchmark, ("step_cost", "plain_cost", "sensor_cost", "compile_cost", "lint_cost", "lsp_cost"))),
 )
 PHYSICS = Part(
     name="physics",
     title="Physics against closed forms",
     prose="""\
-Each experiment is a scenario, from its text to what the policy sees, on PyBullet (`tests/physics`). Errors above one percent
-have these reasons. A tire of 2 cm grips anywhere across its width, so that in an arc the middle of the axle may be faster or
-slower by 1 cm times the turning rate, which is 3.7 % here. A drum sinks into the ground by what the solver leaves of an overlap, and
-rolls on less than its radius. A bounce begins after the surfaces met, and leaves a little more speed than stated. Smaller physics
-steps mend both.""",
+Each experiment is a scenario, from its text to the observation, on PyBullet (`tests/physics`). Errors above 1 % have these causes. A tire
+of 2 cm touches the ground anywhere across its width, so in an arc the middle of the axle is faster or slower by up to 1 cm times the
+turning rate, 3.7 % here. A drum sinks into the ground by the overlap that the solver leaves, and rolls on less than its radius. A bounce
+begins after the surfaces met, and has slightly more speed than declared. Smaller physics steps reduce the last two.""",
     tables=(Benchmark("physics"),),
     figure="error",
 )
 CHANNEL = Part(
     name="channel",
     title="Channels against what is declared",
-    prose="Over 100 000 messages each. A chi-square p says how often chance alone differs as much from what was declared.",
+    prose="Each row is of 100 000 messages or more. The p of a chi-square test is the probability that chance alone differs as much "
+    "from the declared values.",
     tables=(Benchmark("channel"),),
 )
 HOLDS = Part(
     name="holds",
     title="What holds",
-    prose="Over every shipped scenario and those of the tests, on every engine that can hold them.",
+    prose="Tests of every shipped scenario and of those in the tests, on every engine that supports them.",
     tables=(
         Holding(
             "same seed, same bytes: two environments, and after episodes of any length", "tests/contract", "same_seed or equals_a_fresh_one"
@@ -107,19 +105,19 @@ LINTING = Part(
     name="linting",
     title="What lint finds, and what it withstands",
     prose="""\
-Mistakes put into scenarios (`tests/faults`): the one finding has to begin and end where the mistake does, to the character, with its code,
-and nothing else may be told. Damaged files (`tests/fuzz`; `make fuzz` tries more): no exception, the same findings
-when asked again, the right exit code, and what has no error compiles. Hostile files (`tests/hostile`): bombs, depth, size, meshes and
-pictures that lie, paths that lead outside.""",
+Mistakes are put into scenarios (`tests/faults`): lint must give one finding, with its code, that begins and ends where the mistake does,
+and no other. Damaged files (`tests/fuzz`; `make fuzz` tries more) must give no exception, the same findings twice and the right exit
+code; a file without errors must compile. Hostile files (`tests/hostile`) are bombs, deep or large files, meshes and pictures with false
+sizes, and paths that lead outside the project.""",
     tables=(Benchmark("injected_faults"), Benchmark("damaged_files"), Benchmark("hostile_files")),
 )
 RULES = Part(
     name="rules",
     title="What the rules of lint say, and where they are silent",
     prose="""\
-Every finding has a mistake as its case, whose words and places are kept in `tests/golden/lint/err`, and a page, whose example has it and
-what to write instead has not. Shipped scenarios, templates and the docs are silent with the rules in preview; what is kept in
-`tests/golden/lint/ok`, unusual and right, is silent by default.""",
+Every finding has a case in `tests/golden/lint/err` with its words and places, and a page whose first example has the finding and whose
+second one does not. Shipped scenarios, templates and the docs have no findings, also with preview rules; unusual but right scenarios in
+`tests/golden/lint/ok` have none by default.""",
     tables=(
         Holding("every finding has a mistake as its case", "tests/golden/test_golden_lint.py", "every_rule_has_a_case"),
         Holding("a mistake is told in the words and at the places that are kept", "tests/golden/test_golden_lint.py", "in_these_words"),

@@ -1,4 +1,4 @@
-"""The results page is what the records say, the records are of what is asked for, and a measurement that is stopped goes on."""
+"""The pages of results are what the records say, the records are of what is asked for, and a measurement that is stopped goes on."""
 
 from __future__ import annotations
 
@@ -8,12 +8,16 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
+from statistics import fmean
+from typing import Any
 
 import pytest
 
 from deepbots_cli.document import shipped
 from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.statistics import mean_interval
 from tests.results import measure, page, picture
 from tests.results.__main__ import main
 from tests.results.experiment import (
@@ -34,31 +38,68 @@ from tests.results.experiment import (
 )
 from tests.results.experiments.not_measured import REASONS
 from tests.results.measure import ROOT, Places
-from tests.results.page import Standing, judge
+from tests.results.standing import Standing, judge, together
 
 PLACES = Places()
 CURRENT = "run: python -m tests.results --render"
 EXPERIMENTS = list(experiments().values())
 
 
-def test_the_page_is_what_the_records_say():
-    assert PLACES.page.read_text(encoding="utf-8") == page.page(PLACES, experiments()), CURRENT
+def test_the_pages_are_what_the_records_say():
+    pages = page.pages(PLACES, experiments())
+    assert [path.name for path, text in pages.items() if path.read_text(encoding="utf-8") != text] == [], CURRENT
+    assert {*PLACES.records.glob("*.md")} <= {*pages}, "a card of no experiment"
 
 
-def test_the_readme_tells_figures_of_the_page():
-    measured: dict[str, str] = {}
-    task = ""
-    for line in PLACES.page.read_text(encoding="utf-8").partition("## CartPole")[0].splitlines():
-        if (cells := line.split("|"))[0] == "" and len(cells) == 7:
-            task = cells[1].strip() or task
-            measured[task] = measured.get(task, "") + cells[4]
-    rows = re.findall(r"^\| \[(\w+)\]\(docs/results\.md#.*\| (.*) \|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
-    assert [name for name, _ in rows] == ["CartPole", "PitEscape", "FindBall"]
-    for name, told in rows:
-        (numbers,) = (figures for task, figures in measured.items() if task.startswith(f"[{name}]"))
+def test_the_pages_that_people_read_are_short():
+    words = {path.name: len(path.read_text(encoding="utf-8").split()) for path in (PLACES.page, page.BY_HAND)}
+    assert words["results.md"] <= 600
+    assert words["measured.md"] <= 3500
+
+
+def test_every_bar_that_is_measured_by_hand_has_a_verdict():
+    verdicts = page.verdicts_by_hand(page.BY_HAND.read_text(encoding="utf-8"))
+    assert len(verdicts) > 100
+    assert [row for row in verdicts if not re.match(r"(met|\*\*missed\*\*|not shown)($|[,;:] )", row[1])] == []
+
+
+def test_the_readme_tells_figures_of_the_cards():
+    rows = re.findall(
+        r"^\| \[(\w+)\]\(docs/results/(\w+)\.md#.*\| (.*) \|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert [name for name, _, _ in rows] == ["CartPole", "PitEscape", "FindBall"]
+    for _, name, told in rows:
+        standing = Standing.of(experiments()[name], measure.read(PLACES.record(name)))
+        numbers = " ".join(verdict.measured for verdict in standing.verdicts())
         figures = re.findall(r"[\d.]+(?: %| h\b| s\b|)", told.replace("200 of 200", "200"))
         assert figures
         assert [figure for figure in figures if figure not in numbers] == []
+
+
+def test_the_table_beside_the_paper_has_its_tasks_and_every_row_an_interval():
+    text = PLACES.page.read_text(encoding="utf-8").partition("## Beside the paper")[2].partition("\n## ")[0]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")][2:]
+    assert [row[0].partition("]")[0] for row in rows if row[0]] == ["[CartPole", "[PitEscape", "[FindBall"]
+    assert [row for row in rows if not re.search(r" \(.+ \.\. .+\)$| \(every episode\)$", row[3])] == []
+
+
+def test_episodes_of_several_policies_count_as_one_evaluation():
+    returns = [[1.0, 2.0, 4.0], [5.0, 5.0, 8.0, 9.0], [3.0, 3.0]]
+    assert together([_evaluated(values) for values in returns])["return_interval"] == pytest.approx(mean_interval([*chain(*returns)]))
+    assert together([_evaluated(returns[0])]) == _evaluated(returns[0])
+
+
+def _evaluated(values: list[float]) -> dict[str, Any]:
+    return {
+        "episodes": len(values),
+        "success_defined": False,
+        "successes": None,
+        "mean_return": fmean(values),
+        "return_interval": mean_interval(values),
+        "least_return": min(values),
+        "greatest_return": max(values),
+        "endings": {"fallen": len(values)},
+    }
 
 
 def test_the_pictures_show_the_records_and_are_small():
@@ -96,7 +137,7 @@ def test_a_name_that_is_neither_a_scenario_nor_a_part_is_told_with_those_there_a
 
 
 def places_in(folder: Path) -> Places:
-    return Places(*(folder / name for name in ("records", "page.md", "pictures", "runs", "benchmark.md")))
+    return Places(*(folder / name for name in ("records", "page.md", "measurements.md", "pictures", "runs", "benchmark.md")))
 
 
 def test_what_is_missing_can_be_asked_for_without_measuring_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -127,7 +168,7 @@ def test_a_bar_is_missed_by_the_worst_seed_by_one_that_is_never_solved_and_open_
     assert verdict(replace(bar, stretch=True), 0.4, seeds=1)[0] == "reached"
 
 
-def test_figures_of_an_earlier_version_of_a_scenario_are_marked_on_the_page(tmp_path: Path):
+def test_figures_of_an_earlier_version_of_a_scenario_are_marked(tmp_path: Path):
     places = places_in(tmp_path)
     chosen = {"cartpole": Experiment("cartpole", "CartPole", "", (Training(),), (Bar(Solved("simulated_hours"), at_most=0.5),))}
     curve = {"simulated_hours": [0.1, 0.2], "return": [10.0, 20.0], "success": [0.0, 0.0]}
@@ -137,9 +178,10 @@ def test_figures_of_an_earlier_version_of_a_scenario_are_marked_on_the_page(tmp_
     for digest, marked in ((asked.digest, False), ("of another world", True)):
         entry = {"digest": digest, "command": asked.command, **measure.circumstances(), **counts, **rest}
         measure.put(places.record("cartpole"), entry, "trainings", "main", "101")
-        text = " ".join(page.page(places, chosen).split())
-        assert ("**Measured on an earlier version of the scenario or of the experiment:** seed 101." in text) == marked
-        assert ("1 of these verdicts is of an earlier version of a scenario." in text) == marked
+        texts = {path: " ".join(text.split()) for path, text in page.pages(places, chosen).items()}
+        warning = "**Measured on an earlier version of the scenario or of the experiment:** seed 101."
+        assert (warning in texts[places.card("cartpole")]) == marked
+        assert ("1 of these verdicts is of an earlier version of a scenario." in texts[places.page]) == marked
 
 
 def test_a_new_case_asks_for_an_evaluation_and_for_no_new_training(monkeypatch: pytest.MonkeyPatch):
@@ -219,7 +261,7 @@ def test_a_measurement_that_is_stopped_goes_on_and_ends_on_the_page(tmp_path: Pa
     assert entry["evaluations"]["held_out"]["episodes"] == record["baselines"]["random"]["episodes"] == 3
 
     page.write(places, {"rail": TINY})
-    text = places.page.read_text(encoding="utf-8")
+    text = places.card("rail").read_text(encoding="utf-8")
     assert "| mean return, held out | at least 301 |" in text
     assert " s, resumed once |" in text
     assert f"state {picture.state(TINY, Standing.of(TINY, record).record)}" in places.picture("rail").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The tasks in docs/results.md that a script teaches: they lint clean, and the scripts do them."""
+"""The tasks in docs/measured.md that a script teaches: they lint clean, and the scripts do them."""
 
 from __future__ import annotations
 

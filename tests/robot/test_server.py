@@ -16,6 +16,7 @@ pytest.importorskip("mcap")
 pytest.importorskip("zmq")
 
 from deepbots_robot import messages
+from deepbots_robot.about import About, Remark
 from deepbots_robot.intake import Input
 from deepbots_robot.link import Array, Arrival
 from deepbots_robot.log import LogWriter, read_log
@@ -75,6 +76,12 @@ class Line:
     def connected(self) -> bool:
         return True
 
+    def remarks(self) -> Sequence[Remark]:
+        return []
+
+    def others(self) -> Sequence[About]:
+        return []
+
     def close(self) -> None: ...
 
     def put(self, at: float, angle: float, stamp: float | None = None) -> None:
@@ -88,9 +95,15 @@ class World:
 
     def __init__(self, *, output: Output | None = None, **settings: Any) -> None:
         free = np.full(2, np.inf)
+        self.events: list[tuple[str, str]] = []
         self.line, self.policy = Line(), Doubles()
         output = output or Output(DRIVE, np.full(2, -5.0), np.full(2, 5.0), free, np.array(SAFE))
-        self.server = Server(self.policy, INPUTS, [output], self.line, RATE, clock=lambda: self.line.now, **settings)
+        self.server = Server(self.policy, INPUTS, [output], self.line, RATE, clock=lambda: self.line.now, log=self, **settings)
+
+    def step(self, *_: object) -> None: ...
+
+    def event(self, stamp: float, kind: str, text: str) -> None:
+        self.events.append((kind, text))
 
     def run(self, until: float) -> list[tuple[float, list[float]]]:
         """Let time pass; the commands of this time."""
@@ -130,8 +143,10 @@ def test_a_missing_value_is_bridged_and_silence_ends_in_the_safe_posture_within_
     assert max(acted) <= 100.0 + AGE
     assert 100.0 + AGE <= min(safe) <= 100.0 + AGE + 1 / RATE
     assert len(safe) == pytest.approx((1.0 - AGE) * RATE, abs=15)  # again and again
+    world.line.coming.append((101.05, Arrival("e", stamp=101.05, kind="reset", number=1)))
     world.line.put(101.1, 0.2)
     assert world.run(101.11)[-1] == (101.1, [2.0, 2.0])
+    assert [kind for kind, _ in world.events] == ["safe", "episode", "resumed"]
     assert world.server.report()["safe_because"] == {"silence": 1}
 
 

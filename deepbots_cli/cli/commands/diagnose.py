@@ -97,11 +97,12 @@ def command(
 
 def _explain_log(path: Path, number: int | str | None, *, as_json: bool) -> bool:
     """Print what happened in the log of a robot, in one episode or in all; False for a recording of a simulation."""
-    from deepbots_cli.insight.robot_log import explain_log, is_robot_log, logged_episodes
+    from deepbots_cli.insight.robot_log import explain_log, logged_episodes
+    from deepbots_cli.rollout.robot_logs import is_robot_log
 
     if not is_robot_log(path):
         return False
-    found = [each for each in logged_episodes(path) if number is None or str(each.number) == str(number)]
+    found = [each for each in logged_episodes(path, terminal.note) if number is None or str(each.number) == str(number)]
     if not found:
         raise UsageError(f"{path} has no episode {number}; list them with: deepbots replay {quote(str(path))}")
     data = [{**vars(each), "events": [event._asdict() for event in each.events]} for each in found]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 from itertools import islice
@@ -30,17 +30,20 @@ from deepbots_cli.cli.command import (
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.episodes import Summary
 from deepbots_cli.rollout import Driver, Episode
-from deepbots_cli.rollout.drivers import RANDOM, named_driver
+from deepbots_cli.rollout.drivers import POLICY, RANDOM, named_driver
 
 if TYPE_CHECKING:
+    from deepbots_cli.cli.sources import OpenedSource
+    from deepbots_cli.program import Program
     from deepbots_cli.runtime import Supervisor
 
 MAX_SHOWN = 20
 """Maximum number of episodes that are listed one by one; of more episodes, only the `FIRST_EPISODES` are."""
 FIRST_EPISODES = 5
+ROBOT = "Robot"
 COUNT = 3
 
 
@@ -56,19 +59,31 @@ def command(
     case: Case = None,
     stage: Stage = None,
     driver: Annotated[
-        str,
+        str | None,
         option(
             "--driver NAME",
             "Who acts: `random`, `zero` (the middle of each range and the first option of each choice), a script of the scenario, or"
-            " actions to repeat.",
+            " actions to repeat. By default `random`; with --robot and a run, its policy.",
         ),
-    ] = RANDOM,
-    episodes: Annotated[int, integer("--episodes N", "Number of episodes.")] = COUNT,
+    ] = None,
+    episodes: Annotated[int | None, integer("--episodes N", f"Number of episodes, {COUNT} by default; with --robot 1.")] = None,
     steps: Annotated[
         int | None, integer("--steps N", "Stop after this total number of steps; by default at the end of the last episode.")
     ] = None,
     seed: Seed = 0,
     start: Start = None,
+    robot: Annotated[
+        str | None,
+        option(
+            "--robot ADDRESS",
+            "Act for the robot at an address in place of the simulated one: ros, ros:DOMAIN, tcp://HOST:PORT, ipc://FILE or ws://HOST:PORT.",
+            ROBOT,
+        ),
+    ] = None,
+    lockstep: Annotated[
+        bool, option("--lockstep", "With --robot, answer each set of values once; a simulated robot then waits for the answer.", ROBOT)
+    ] = False,
+    speed: Annotated[float, option("--speed X", "With --robot, how many seconds of the robot pass in one second.", ROBOT)] = 1.0,
     engine: Engine = None,
     as_json: Json = False,
     permissions: Permissions = Permissions(),
@@ -97,20 +112,44 @@ def command(
     \b
       deepbots try runs/cartpole-0-1/failures/0001.json
 
+    --robot ADDRESS runs one episode on a robot, or on a simulation that `deepbots serve SCENARIO --as-robot` runs. The robot sends what its
+    sensors measure and obeys commands, by the messages and topics of `deepbots serve`. Reward terms and endings are computed from what is
+    measured; those that need other facts are named and left out. Further --episodes begin when the robot says so. SCENARIO may be a run,
+    whose policy then acts.
+
+    \b
+      deepbots serve cartpole --as-robot --zmq tcp://127.0.0.1:5555 --episodes 1    one terminal
+      deepbots try cartpole --robot tcp://127.0.0.1:5555 --driver forward,backward      another terminal
+      deepbots try runs/cartpole-0-1 --robot ros
+
     Next: `deepbots train SCENARIO` trains a policy.
     """
     if scenario.endswith(".json") and Path(scenario).parent.name == "failures":
-        given = any((overrides, case, stage, engine, permissions.folders, steps, seed, start))
-        if given or driver != RANDOM or episodes != COUNT:
+        given = any((overrides, case, stage, engine, permissions.folders, steps, seed, start, robot, episodes))
+        if given or driver is not None:
             raise UsageError(
                 "the file of a failed episode already contains its scenario, start and actions; only --json and --allow-code can be added"
             )
         _reproduce(Path(scenario), permissions=permissions, as_json=as_json)
         return
+    if robot is None and (lockstep or speed != 1.0):
+        raise UsageError("--lockstep and --speed need --robot")
     options = start_values(start)
+    data = {"seed": seed, "start": options, "case": case, "stage": stage}
+    if robot is not None:
+        made: dict[str, Any] = {"episodes": episodes or 1, "seed": seed, "options": options, "max_steps": steps, "engine": engine}
+        from deepbots_cli.cli.sources import open_source
+        from deepbots_robot.server import report_lines
+
+        source = open_source(scenario, overrides or (), permissions, engine)
+        program = source.program.variant(case, stage)
+        found, report = _on_robot(source, program, driver, robot, lockstep=lockstep, speed=speed, permissions=permissions, **made)
+        _show(program, found, data | {"driver": driver or POLICY, "link": report}, report_lines(report), as_json=as_json)
+        return
     compiled = api.compile(scenario, overrides=with_engine(overrides, engine), permissions=permissions)
     terminal.note_warnings(compiled.findings, scenario)
     program = compiled.program.variant(case, stage)
+    driver, episodes = driver or RANDOM, episodes or COUNT
     with closing(api.make(program, permissions=permissions)) as environment:
         name = environment.engine.name
         acting = named_driver(environment, driver)
@@ -121,12 +160,48 @@ def command(
                 done.append(episode)
                 if show and episodes > MAX_SHOWN:
                     show(len(done), episodes)
+    _show(program, done, {"digest": compiled.digest, "engine": name, **data, "driver": driver}, (), as_json=as_json)
+
+
+def _on_robot(
+    source: OpenedSource, program: Program, driver: str | None, address: str, **settings: Any
+) -> tuple[list[Episode], dict[str, Any]]:
+    """Episodes on the robot at an address; by the policy of a run, or a driver that is named."""
+    if driver is None and source.run is None:
+        raise UsageError(
+            "--robot needs --driver NAME: random, zero, a script of the scenario, or actions; or name a run, whose policy acts"
+        )
+    if not 0.0 < settings["speed"] <= 1000.0:
+        raise UsageError(f"--speed {settings['speed']:g}: write a number above 0, at most 1000")
+    try:
+        from deepbots_cli.insight.real_robot import try_robot
+        from deepbots_robot.serving import ServeError, Transport
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("robot", "acting for a robot") from error
+    run = source.run
+
+    def acting(world: Supervisor) -> Driver:
+        if driver is not None and (driver != POLICY or run is None):
+            return named_driver(world, driver)
+        from deepbots_cli.learning import policy
+        from deepbots_cli.rollout.policies import PolicyDriver
+
+        assert run is not None  # a scenario has a driver
+        return PolicyDriver(policy.loaded(run, "best"), world)
+
+    try:
+        transport = Transport.at(address)
+    except ServeError as error:
+        raise UsageError(str(error)) from None
+    return try_robot(program, transport, acting, note=terminal.note, **settings)
+
+
+def _show(program: Program, done: list[Episode], data: dict[str, Any], more: Sequence[str], *, as_json: bool) -> None:
     summary = Summary.of_episodes(done, possible_returns(program))
-    data = {"scenario": program.name, "digest": compiled.digest, "engine": name, "seed": seed, "start": options}
-    data |= {"case": case, "stage": stage, "driver": driver, "episodes": list(map(_row, done))}
+    data = {"scenario": program.name, **data, "episodes": list(map(_row, done))}
     totals = "\n" + records.summary_text(summary, success_defined=program.defines_success)
     data["summary"] = {"success_defined": program.defines_success, **vars(summary)}
-    terminal.show(data, *_lines(done), *([totals] if len(done) > 1 else []), as_json=as_json)
+    terminal.show(data, *_lines(done), *([totals] if len(done) > 1 else []), *more, as_json=as_json)
 
 
 def _reproduce(path: Path, permissions: Permissions, as_json: bool) -> None:
@@ -155,13 +230,15 @@ def _lines(done: list[Episode]) -> Iterator[str]:
     yield "episodes\n" + table(listed)
     if len(shown) < len(done):
         yield f"  and {len(done) - len(shown):,} more"
-    yield "\nreward terms\n" + table([_term(done, name) for name in done[0].terms])
+    if done[0].terms:
+        yield "\nreward terms\n" + table([_term(done, name) for name in done[0].terms])
 
 
 def _term(done: list[Episode], name: str) -> Row:
     sums = [episode.terms[name] for episode in done]
     steps = sum(episode.length for episode in done)
-    return {"term": name, "per_episode": fmean(sums), "min_episode": min(sums), "max_episode": max(sums), "per_step": sum(sums) / steps}
+    per_step = sum(sums) / max(1, steps)  # a robot may restart before the first step
+    return {"term": name, "per_episode": fmean(sums), "min_episode": min(sums), "max_episode": max(sums), "per_step": per_step}
 
 
 def run_episodes(

@@ -17,19 +17,21 @@ from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import check_new_folder
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.program import identity
 
 
 class Form(StrEnum):
     bundle = "bundle"
     isaac_lab = "isaac-lab"
+    lerobot = "lerobot"
+    leapp = "leapp"
 
 
 def command(
     source: Annotated[Path, typer.Argument(metavar="RUN|BUNDLE", help="A run directory, or with --check a folder that `export` wrote.")],
     out: Annotated[Path | None, option("--output -o FOLDER", "Folder to write; by default RUN-bundle.")] = None,
-    to: Annotated[Form, option("--to", "A bundle, or the files that runners of Isaac Lab read.", ADVANCED)] = Form.bundle,
+    to: Annotated[Form, option("--to", "A bundle, or the files that runners of Isaac Lab, LeRobot or LEAPP read.", ADVANCED)] = Form.bundle,
     force: Force = False,
     last: Annotated[bool, option("--last", "Export the last model instead of the best one.", ADVANCED)] = False,
     check: Annotated[str | None, option("--check SCENARIO", "Compare a bundle with a scenario, item by item; write nothing.")] = None,
@@ -44,7 +46,8 @@ def command(
     actuators. bundle.json and README.md hold names, units, frames, ranges, rates, ages, the result with its interval, and versions.
     parity.npz has recorded steps, which `deepbots_robot.load` repeats.
 
-    --to isaac-lab writes exported/policy.onnx over observations and params/deploy.yaml instead, for robots with position motors.
+    --to writes files of other programs instead: isaac-lab a policy over observations with params/deploy.yaml, for robots with position
+    motors; lerobot a policy over scaled observations with the processors that scale; leapp the graph of the bundle with a pipeline file.
 
     --check compares the observation, action and messages of the bundle with those of a scenario. The exit code is 0 if the policy fits,
     and 1 if it does not.
@@ -52,6 +55,7 @@ def command(
     \b
       deepbots export runs/cartpole-0-1 -o cartpole-bundle
       deepbots export runs/walk-0-1 --to isaac-lab -o walk
+      deepbots export runs/cartpole-0-1 --to leapp -o cartpole-leapp
       deepbots export --check cartpole cartpole-bundle
       deepbots export --check mine.yaml cartpole-bundle
 
@@ -75,8 +79,8 @@ def command(
     with terminal.transient_line("exporting the policy ..."):
         from deepbots_cli.insight.export import bundle  # torch, which exporting imports, takes a second
 
-        write = bundle.bundle_files if to is Form.bundle else bundle.isaac_files
-        files = write(run, "last" if last else "best")
+        model: ModelName = "last" if last else "best"
+        files = bundle.bundle_files(run, model) if to is Form.bundle else bundle.files_for(run, model, to.value)
     if to is not Form.bundle:
         write_new(files, folder, force=force)
         terminal.show({"folder": folder}, f"{folder}: {', '.join(map(str, files))}", as_json=as_json)

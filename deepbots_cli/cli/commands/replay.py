@@ -67,7 +67,7 @@ def command(
 
     Next: `deepbots view RECORDING` plays it in the browser.
     """
-    from deepbots_cli.insight.robot_log import is_robot_log
+    from deepbots_cli.rollout.robot_logs import is_robot_log
 
     log = Path(recording)
     if is_robot_log(log):
@@ -121,7 +121,7 @@ def command(
 def _list_log(path: Path, *, as_json: bool) -> None:
     from deepbots_cli.insight.robot_log import logged_episodes
 
-    found = logged_episodes(path)
+    found = logged_episodes(path, terminal.note)
     rows = [
         {
             "episode": each.number,
@@ -135,7 +135,11 @@ def _list_log(path: Path, *, as_json: bool) -> None:
         for each in found
     ]
     data = {"log": path, "episodes": [{**vars(each), "events": [event._asdict() for event in each.events]} for each in found]}
-    after = [f"deepbots diagnose {path} --episode {found[0].number}", f"deepbots transfer RUN --log {path}"] if found else []
+    after = (
+        [f"deepbots view {path}", f"deepbots diagnose {path} --episode {found[0].number}", f"deepbots transfer RUN --log {path}"]
+        if found
+        else []
+    )
     terminal.show(data, f"{path}: the log of a robot", table(rows), as_json=as_json, next_commands=after)
 
 

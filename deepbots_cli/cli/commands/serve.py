@@ -12,7 +12,7 @@ import typer
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import EPISODES, Engine, Json, Overrides, integer, option
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def _serve_policy(folder: Path, transport: Transport, *, as_json: bool, **settin
     from deepbots_robot.bundle import load
     from deepbots_robot.model import BundleError
     from deepbots_robot.server import report_lines
-    from deepbots_robot.serving import ServeError, serve
+    from deepbots_robot.serving import ServeError, nothing_served, serve
 
     with ExitStack() as stack:
         if folder_kind(folder) is SourceKind.RUN:
@@ -122,6 +122,9 @@ def _serve_policy(folder: Path, transport: Transport, *, as_json: bool, **settin
         except (BundleError, ServeError) as error:
             raise UsageError(str(error)) from None
     terminal.show(report, *report_lines(report), as_json=as_json)
+    nothing = nothing_served(report, settings["seconds"])
+    if nothing:
+        raise DeepbotsError(nothing)
 
 
 def _exported(run: Path, stack: ExitStack) -> Path:

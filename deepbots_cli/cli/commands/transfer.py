@@ -113,7 +113,7 @@ def _compare_log(runs: Sequence[Run], path: Path, *, as_json: bool, others: Sequ
 
     (run,) = runs
     with terminal.transient_line("simulating ..."):
-        found = compare_log(run, path)
+        found = compare_log(run, path, note=terminal.note)
     different = [each for each in found if each.is_different]
     rows = [
         {

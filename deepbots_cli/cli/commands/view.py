@@ -37,7 +37,8 @@ if TYPE_CHECKING:
 Shown = Annotated[
     str,
     typer.Argument(
-        metavar="SCENARIO|RUN|RECORDING", help="A scenario file, the name of a shipped scenario, a run directory or a recording."
+        metavar="SCENARIO|RUN|RECORDING",
+        help="A scenario file, the name of a shipped scenario, a run directory, a recording or the log of a robot.",
     ),
 ]
 ScenarioOrRun = Annotated[
@@ -97,6 +98,9 @@ def view(
     In a run, the policy acts. In a scenario, the first script acts; without a script, actions are random. While a run is trained, each
     episode shows its newest policy. A recording is played, with a slider for its steps.
 
+    The log of a robot, which `deepbots serve --log` writes, is played too: joint positions and poses that the robot reported move its
+    model, and values, commands, ages and the safe posture are plotted.
+
     With --worlds N, a batch of N worlds is stepped together in MuJoCo, and a slider chooses the world that is shown. World K begins as
     held-out episode K.
 
@@ -105,6 +109,7 @@ def view(
       deepbots view runs/find_ball-0-1
       deepbots view runs/find_ball-0-1 --compare runs/find_ball-1-1
       deepbots view find_ball-0-0.mcap
+      deepbots view robot.mcap
       deepbots view mine.yaml --watch
       deepbots view find_ball --set goal=20cm --seed 3
       deepbots view panda_push --start mark=0.5,0.1

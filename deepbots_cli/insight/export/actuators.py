@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import product
 
+import numpy as np
+from numpy.typing import NDArray
+
+from deepbots_cli.arrays import evaluate
+from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.expressions.scalar import Name, Scalar
 from deepbots_cli.insight.export.readings import finite, unit_text
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Actuator, Cartesian, Command, CustomActuator, Motor, Robot, Thrust
@@ -14,6 +21,9 @@ from deepbots_robot.model import Output
 _KINDS = {"velocity_motor": "velocity", "position_motor": "position", "torque_motor": "effort"}
 _UNITS = {"velocity": ("rad/s", "m/s"), "position": ("rad", "m"), "effort": ("N*m", "N")}
 """Units for revolute and for prismatic joints."""
+_ROUNDING = 1e-9
+
+Array = NDArray[np.float64]
 
 
 def output(program: Program, robot: Robot, command: Command) -> Output:
@@ -107,3 +117,40 @@ def _safe(kind: str, low: float | None, high: float | None) -> float | None:
     if kind not in ("velocity", "effort", "thrust"):
         return None
     return min(max(0.0, 0.0 if low is None else low), math.inf if high is None else high)
+
+
+def linear(program: Program, targets: Sequence[Scalar]) -> tuple[Array, Array] | None:
+    """A matrix (targets, numbers of the action) and an offset if each target is matrix @ action + offset, action in [-1, 1]; else None."""
+    parts = [(part, component) for part in program.agent.ranges for component in part.components or (None,)]
+    count = len(parts)
+    dice = np.random.default_rng(0).uniform(-1.0, 1.0, (20, count))
+    actions = np.concatenate([np.zeros((1, count)), np.eye(count), dice])
+    values = _evaluated(
+        targets,
+        {
+            Name(part.name, component): (part.high + part.low) / 2 + (part.high - part.low) / 2 * column
+            for (part, component), column in zip(parts, actions.T, strict=True)
+        },
+    )
+    if values is None:
+        return None
+    offset, matrix = values[0], (values[1 : count + 1] - values[0]).T
+    fits = np.allclose(values, actions @ matrix.T + offset, rtol=0.0, atol=_ROUNDING)
+    return (matrix, offset) if fits else None
+
+
+def tabulated(program: Program, targets: Sequence[Scalar]) -> Array | None:
+    """The targets of each combination of options, the last choice changing first: (combinations, targets); None if they need more."""
+    chosen = [*product(*(part.options for part in program.agent.choices))]
+    variables = [name for part in program.agent.choices for name in part.variables]
+    rows = np.array([[value for option in options for value in option.values] for options in chosen], float)
+    return _evaluated(targets, {Name(name): column for name, column in zip(variables, rows.T, strict=True)})
+
+
+def _evaluated(targets: Sequence[Scalar], names: Mapping[Name, Array]) -> Array | None:
+    """The targets for rows of values; None for one that reads sensors, or has a memory."""
+    count = len(next(iter(names.values())))
+    try:
+        return np.stack([np.broadcast_to(evaluate(tree, names), count) for tree in targets], axis=1)
+    except DeepbotsError:
+        return None

@@ -47,6 +47,7 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         import msgspec
 
         from deepbots_cli.insight.export.control import control_step
+        from deepbots_cli.insight.export.graph import numbers_read
         from deepbots_cli.insight.export.network import policy_graph
         from deepbots_cli.insight.export.parity import recorded_parity
         from deepbots_cli.learning import policy
@@ -63,7 +64,7 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         parity = recorded_parity(bundle.Bundle(info, graph), step, learner, engine=run.engine_for(run.program))
     files = {bundle.GRAPH_NAME: graph, bundle.PARITY_NAME: parity}
     info = msgspec.structs.replace(info, files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()})
-    readme = render_template("export/bundle.md.j2", info=info)
+    readme = render_template("export/bundle.md.j2", info=info, used=numbers_read(graph))
     # The scenario names the copies of its robot files; the YAML files that it was put together from are in it.
     robots = [name for name in run.record.inputs if not name.endswith((".yaml", ".yml"))]
     files |= {
@@ -75,8 +76,8 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
     return {PurePosixPath(name): content for name, content in files.items()}
 
 
-def isaac_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
-    """The files of `export --to isaac-lab`.
+def files_for(run: Run, name: ModelName, reader: str) -> dict[PurePosixPath, bytes]:
+    """The files of `export --to` for a reader: `isaac-lab`, `lerobot` or `leapp`.
 
     Raises:
         MissingExtraError: onnx or what learns is not installed.
@@ -84,11 +85,14 @@ def isaac_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         UsageError: The scenario does not fit this form.
     """
     try:
-        from deepbots_cli.insight.export import isaac
+        from deepbots_cli.insight.export import isaac, leapp, lerobot
         from deepbots_cli.learning import policy
     except ModuleNotFoundError as error:
         raise MissingExtraError("export", "exporting a policy") from error
-    return isaac.isaac_files(run.program, policy.loaded(run, name))
+    if reader == "leapp":
+        return leapp.leapp_files(bundle_files(run, name))
+    emit = isaac.isaac_files if reader == "isaac-lab" else lerobot.lerobot_files
+    return emit(run.program, policy.loaded(run, name))
 
 
 def _info(run: Run, name: ModelName, step: ControlStep) -> BundleInfo:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,13 @@ import deepbots_cli
 OPSET = 17
 IR_VERSION = 8
 """Of onnx 1.13 and onnxruntime 1.14, from 2023, and later."""
+
+_NUMBER_BY_NUMBER = frozenset((
+    "Abs", "Acos", "Add", "And", "Asin", "Atan", "Cast", "Ceil", "Clip", "Cos", "Div", "Equal", "Erf", "Exp", "Floor", "Greater",
+    "GreaterOrEqual", "Identity", "Less", "LessOrEqual", "Log", "Max", "Min", "Mod", "Mul", "Neg", "Not", "Or", "Pow", "Reshape", "Round",
+    "Sigmoid", "Sign", "Sin", "Sqrt", "Sub", "Tan", "Tanh", "Where",
+))  # fmt: skip
+"""Operators whose result has a number at a place from the numbers at this place, in C order."""
 
 
 class Graph:
@@ -68,3 +76,48 @@ class Graph:
             helper.set_model_props(found, dict(metadata))
         onnx.checker.check_model(found, full_check=True)
         return bytes(found.SerializeToString())
+
+
+def numbers_read(content: bytes) -> dict[str, frozenset[int]]:
+    """The numbers of each input that can change an output of a model, as places in C order; those of other inputs are without effect."""
+    graph = onnx.shape_inference.infer_shapes(onnx.load_from_string(content)).graph
+    shapes = {weight.name: [*weight.dims] for weight in graph.initializer}
+    for value in (*graph.input, *graph.output, *graph.value_info):
+        sides = value.type.tensor_type.shape.dim
+        if all(side.HasField("dim_value") for side in sides):
+            shapes[value.name] = [side.dim_value for side in sides]
+    constants = {weight.name: numpy_helper.to_array(weight) for weight in graph.initializer}
+    needed: dict[str, set[int] | None] = {entry.name: None for entry in graph.output}  # None is all
+    for node in reversed(graph.node):
+        wanted = [needed[name] for name in node.output if name in needed]
+        if not wanted:
+            continue
+        for name, places in _read_for(node, wanted[0] if len(node.output) == 1 else None, shapes, constants):
+            before = needed.get(name, set())
+            needed[name] = None if before is None or places is None else before | places
+    found = {}
+    for entry in graph.input:
+        places = needed.get(entry.name, set())
+        found[entry.name] = frozenset(range(prod(shapes[entry.name])) if places is None else places)
+    return found
+
+
+def _read_for(
+    node: Any, wanted: set[int] | None, shapes: Mapping[str, Sequence[int]], constants: Mapping[str, Any]
+) -> Iterator[tuple[str, set[int] | None]]:
+    """The places of each input that the `wanted` places of the result of a node come from; None is all."""
+    of_vectors = all(len(shapes.get(name, ())) == 1 for name in (*node.input, *node.output))
+    if node.op_type == "Gather" and of_vectors and node.input[1] in constants:
+        places = constants[node.input[1]]
+        yield node.input[0], {int(places[place]) for place in (range(len(places)) if wanted is None else wanted)}
+    elif node.op_type == "Concat" and of_vectors and wanted is not None:
+        first = 0
+        for name in node.input:
+            (size,) = shapes[name]
+            yield name, {place - first for place in wanted if first <= place < first + size}
+            first += size
+    else:
+        for name in filter(None, node.input):
+            known = all(each in shapes for each in (name, node.output[0]))
+            alike = known and prod(shapes[name]) == prod(shapes[node.output[0]])
+            yield name, wanted if alike and node.op_type in _NUMBER_BY_NUMBER else None

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from deepbots_cli.arrays import evaluate
-from deepbots_cli.errors import DeepbotsError, UsageError
+from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
-from deepbots_cli.insight.export.actuators import output
+from deepbots_cli.insight.export.actuators import linear, output
 from deepbots_cli.insight.export.graph import Graph
 from deepbots_cli.insight.export.network import decide, policy_graph
 from deepbots_cli.learning.learner import Learner
@@ -68,7 +67,10 @@ def deploy_settings(program: Program) -> dict[str, Any]:
     motor = command.actuator
     if not isinstance(motor, Motor) or motor.kind != "position_motor" or motor.stiffness is None or motor.damping is None:
         raise UsageError(f"the runners of Isaac Lab drive position motors with stiffness and damping, and '{command.name}' is none")
-    scale, offset = _affine(program, command)
+    found = linear(program, command.scalars)
+    if found is None or not np.array_equal(found[0], np.diag(np.diag(found[0]))):
+        raise UsageError(f"`apply.{command.name}` is not a scale and an offset for each number of the action; export a bundle instead")
+    scale, offset = np.diag(found[0]).tolist(), found[1].tolist()
     model = next(body.model for body in program.world.robots if body.name == robot.name)
     in_file = [joint.name for joint in model.joints if joint.name in motor.joints]
     ends = output(program, robot, command).range
@@ -109,29 +111,6 @@ def _only_command(program: Program) -> tuple[Robot, Command]:
         names = ", ".join(f"{robot.name}.{command.name}" for robot, command in commands)
         raise UsageError(f"the runners of Isaac Lab drive one group of joints, and the scenario commands {names}; export a bundle instead")
     return commands[0]
-
-
-def _affine(program: Program, command: Command) -> tuple[list[float], list[float]]:
-    """Scale and offset of each joint: its target is scale * action + offset."""
-    parts = [(part, component) for part in program.agent.ranges for component in part.components or (None,)]
-    count = len(command.components)
-    refused = UsageError(f"`apply.{command.name}` is not a scale and an offset for each number of the action; export a bundle instead")
-    if len(parts) != count:
-        raise refused
-    dice = np.random.default_rng(0).uniform(-1.0, 1.0, (20, count))
-    actions = np.concatenate([np.zeros((1, count)), np.eye(count), dice])
-    names = {
-        Name(part.name, component): (part.high + part.low) / 2 + (part.high - part.low) / 2 * column
-        for (part, component), column in zip(parts, actions.T, strict=True)
-    }
-    try:
-        targets = np.stack([np.broadcast_to(evaluate(tree, names), len(actions)) for tree in command.scalars], axis=1)
-    except DeepbotsError as error:  # it reads sensors, or has a memory
-        raise refused from error
-    offset, scale = targets[0], np.diagonal(targets[1 : count + 1]) - targets[0]
-    if not np.allclose(targets, actions * scale + offset, rtol=0.0, atol=_ROUNDING):
-        raise refused
-    return scale.tolist(), offset.tolist()
 
 
 def _term(entry: Observation, robot: Robot, motor: Motor, offset: Sequence[float]) -> tuple[str, dict[str, Any]]:

@@ -1,4 +1,4 @@
-// Filters over the cards of the gallery. The emphasized line of a card holds its robots, sensors and algorithms.
+// Filters over the cards of the gallery. The emphasized line of a card holds its robots, sensors, algorithms and difficulties.
 const cards = [...document.querySelectorAll(".card")].map((element) => {
   const facts = element.querySelector("em").textContent.split(" · ");
   return { element, facts: facts.map((names) => names.split(", ")) };
@@ -8,7 +8,7 @@ if (cards.length) {
   const count = document.createElement("span");
   bar.className = "filters";
   count.setAttribute("role", "status");
-  const selects = ["robot", "sensor", "algorithm"].map((kind, index) => {
+  const selects = ["robot", "sensor", "algorithm", "difficulty"].map((kind, index) => {
     const select = document.createElement("select");
     const names = new Set(cards.flatMap((card) => card.facts[index]));
     select.append(new Option("any", ""), ...[...names].sort().map((name) => new Option(name)));

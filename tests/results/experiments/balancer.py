@@ -6,7 +6,7 @@ EXPERIMENTS = (
     Experiment(
         scenario="balancer",
         title="Balancer",
-        prose="A robot on two wheels stands upright for ten seconds by a noisy inertial sensor alone. PPO; `lean` is a rule by hand.",
+        prose="`lean` is a rule by hand.",
         trainings=(Training(seeds(3)),),
         baselines=(RANDOM, Baseline("lean", ("--driver", "lean"))),
         bars=(Bar(Ahead("random"), at_least=0),),

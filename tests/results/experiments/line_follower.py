@@ -6,7 +6,7 @@ EXPERIMENTS = (
     Experiment(
         scenario="line_follower",
         title="LineFollower",
-        prose="A small robot with three reflectance sensors follows a painted track for a lap. PPO; `steer` is a rule by hand.",
+        prose="`steer` is a rule by hand.",
         trainings=(Training(seeds(3)),),
         baselines=(RANDOM, Baseline("steer", ("--driver", "steer"))),
         bars=(

@@ -6,8 +6,7 @@ EXPERIMENTS = (
     Experiment(
         scenario="multi_cartpole",
         title="MultiCartPole",
-        prose="Nine carts, each with a channel of its own, share one policy and learn from what all of them meet. An episode ends for"
-        " all when the first pole falls. Steps and simulated hours count each cart.",
+        prose="Steps and simulated hours count each of the nine carts.",
         trainings=(Training(seeds(3)),),
         baselines=(RANDOM,),
         bars=(

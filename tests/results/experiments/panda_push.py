@@ -6,7 +6,7 @@ EXPERIMENTS = (
     Experiment(
         scenario="panda_push",
         title="PandaPush",
-        prose="An arm pushes a block to a mark on a table. The reward is paid at the mark only; SAC with hindsight replay.",
+        prose="",
         trainings=(Training(seeds(1)),),
         baselines=(RANDOM, Baseline("by_hand", ("--driver", "by_hand"), words="gets behind the block and pushes")),
         bars=(

@@ -1,6 +1,20 @@
 """The paper's second task: a ball rocks itself out of a pit."""
 
-from tests.results.experiment import RANDOM, Bar, Baseline, Crossed, Evaluation, Experiment, Held, Mark, Trained, Training, Tried, seeds
+from tests.results.experiment import (
+    RANDOM,
+    Bar,
+    Baseline,
+    Beside,
+    Crossed,
+    Evaluation,
+    Experiment,
+    Held,
+    Mark,
+    Trained,
+    Training,
+    Tried,
+    seeds,
+)
 
 _ELSEWHERE = tuple(
     Evaluation(name=name, scenario=f"tests/pits/pit_escape_{name}.yaml", words=words)
@@ -18,12 +32,8 @@ EXPERIMENTS = (
     Experiment(
         scenario="pit_escape",
         title="PitEscape",
-        prose="A ball with a weight inside has to leave a pit whose wall is too steep for its motors, so it must rock. The return of "
-        "an episode is half the share of the way out while it is inside, and from 0.5 to 1 the sooner it gets out. Two layers "
-        "of 60 ReLU units, PPO. The paper asks for a mean of 0.8; the scenario counts as solved when the mean of 100 consecutive "
-        "training episodes is at least 0.89, and the training ends there. The second training goes on for three hours. "
-        "A second set of seeds: in a pit of 2.8 m, 101 passed 0.8 after 2.98 h and 102 never, and the pit was made "
-        "lower.",
+        prose="Solved: the mean return of 100 consecutive training episodes is at least 0.89. Seeds 101 and 102 were trained in a pit "
+        "2.8 m high: 101 passed a mean of 0.8 after 2.98 h, 102 never. The pit was then made lower.",
         trainings=(
             Training(FRESH, evaluations=(Evaluation(), *_ELSEWHERE)),
             Training(FRESH, name="long", full=True, words="three simulated hours, whether solved or not"),
@@ -47,17 +57,21 @@ EXPERIMENTS = (
                 for what, least in (("mean_return", 0.89), ("success_rate", 1.0))
             ),
         ),
-        paper="The paper's agent, PPO with the same networks, passed a mean of 0.6 near episode 90 and 0.8 from about episode 150 on,"
-        " after some 3 simulated hours (500 episodes) altogether.",
+        paper="The paper's agent, PPO with the same networks, passed a mean of 0.6 near episode 90 and 0.8 from about episode 150 on; "
+        "its training took about 3 simulated hours (500 episodes).",
+        beside=(
+            Beside("episodes until the mean return is 0.8", "about 150", Crossed(0.8, "episode")),
+            Beside("simulated hours of the training", "about 3", Trained("simulated_hours")),
+            Beside("success, held out", "not given", Held("success_rate")),
+        ),
         marks=(Mark("the paper: 0.8", value=0.8), Mark("the paper: 3 h", hours=3)),
     ),
     Experiment(
         scenario="pit_escape_as_printed",
         title="PitEscapeAsPrinted",
-        prose="The same task with the sign of the reward as the paper prints it, which takes away what progress is worth. What "
-        "pays best is to sit still.",
+        prose="The printed sign of the reward makes progress a cost. Standing still is the best policy.",
         trainings=(Training(seeds(2)),),
         bars=(Bar(Held("successes"), at_most=0),),
-        paper="The paper prints the reward as the old value less the new one; its curve rises, so its agent was paid for progress.",
+        paper="The paper prints the reward as the old value minus the new one; its curve rises, so its agent was paid for progress.",
     ),
 )

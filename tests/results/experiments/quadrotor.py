@@ -6,8 +6,7 @@ EXPERIMENTS = (
     Experiment(
         scenario="quadrotor",
         title="Hover",
-        prose="A quadrotor of 28 g flies to a point and stays there, in a wind that changes every second. An episode succeeds if the"
-        " drone was within 30 cm of the point for the last 5 of its 8 seconds. PPO.",
+        prose="Success: the drone stays within 30 cm of the point for the last 5 of 8 seconds.",
         trainings=(Training(seeds(3)),),
         baselines=(RANDOM, Baseline("zero", ("--driver", "zero"), words="hovering thrust on every rotor")),
         bars=(

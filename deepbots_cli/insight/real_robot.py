@@ -1,0 +1,462 @@
+"""Episodes on a robot at the other end of a link: the supervisor scores what is measured, and drivers act as in the simulation.
+
+The environment is that of the scenario, whose engine does not step: it sends the commands of a step, and waits for what the robot
+measures next. What sensors gave replaces the state of the simulated world wherever an expression reads it. Reward terms and endings that
+need other facts are left out. `deepbots_robot.server` keeps time, checks messages and limits commands, as for a bundle; the environment
+runs in a thread of its own, since a step of it ends with the next message of the robot.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
+from queue import SimpleQueue
+from typing import Any
+
+import numpy as np
+
+from deepbots_cli import api, rollout
+from deepbots_cli.analysis.deployment import Deployment
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import UsageError
+from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, walk
+from deepbots_cli.insight.export.actuators import output
+from deepbots_cli.insight.export.readings import Reading
+from deepbots_cli.insight.export.recording import Watch
+from deepbots_cli.insight.robot import robot_program, sent_readings
+from deepbots_cli.port import (
+    ClearanceReader,
+    ContactReader,
+    Engine,
+    EngineProxy,
+    JointReader,
+    MotionReader,
+    Part,
+    PoseReader,
+    TorqueReader,
+    VelocityReader,
+)
+from deepbots_cli.program import Program, identity
+from deepbots_cli.program.topics import mapping
+from deepbots_cli.rollout import Driver, Episode, Start
+from deepbots_cli.rollout.episode import Step
+from deepbots_cli.runtime import Supervisor
+from deepbots_robot.about import About, pace
+from deepbots_robot.server import Server
+from deepbots_robot.serving import Notes, ServeError, Transport, field_of, inputs_of_entries, mapped, outputs_of_entries, stopping
+from deepbots_robot.topics import ACTION, action_field
+
+RESET_BY_ROBOT = "robot_reset"
+"""`ended_by` of an episode in which the robot began the next one."""
+SILENT = "robot_silent"
+"""`ended_by` of an episode in which the robot stopped to send values."""
+_OF_LINES = ("cross_track_error", "arc_length")
+"""Facts that follow from the position of a body."""
+_OVERLAID = (
+    "position", "orientation", "velocity", "angular_velocity", "joint_position", "joint_velocity", "joint_torque",
+    "contact", "collided", "clearance",
+)  # fmt: skip
+_XYZW = "xyzw"
+
+Fact = tuple[str, tuple[str, ...], str | None]
+"""A function of the world, the parts that it is about, and the component."""
+
+
+# What can be measured
+
+
+class Measurable:
+    """Which reward terms, endings and scripts of a program need only what is measured."""
+
+    def __init__(self, program: Program, readings: Sequence[Reading]) -> None:
+        self._deployment = Deployment(program)
+        self._signals = {signal.name: signal.scalars for signal in program.signals}
+        self._endings = {ending.name: ending.scalars for ending in program.endings}
+        self._changing = {value.name for value in program.parameters if value.redraw is not None}
+        self._facts = {fact for reading in readings for fact in self.facts_of(reading)}
+
+    def facts_of(self, reading: Reading) -> Iterator[Fact]:
+        """The facts that a reading measures, in the order of its numbers."""
+        for tree in reading.trees:
+            if isinstance(tree, EngineRead) and tree.function in _OVERLAID:
+                yield self.fact(tree)
+
+    def fact(self, read: EngineRead) -> Fact:
+        return read.function, self._deployment.subjects(read), read.component
+
+    def missing(self, trees: Sequence[Scalar], seen: frozenset[str] = frozenset()) -> dict[str, None]:
+        """The names of the facts behind expressions that nothing measures, in order of first use."""
+        found: dict[str, None] = {}
+        for leaf in (node for tree in trees for node in walk(tree)):
+            if isinstance(leaf, EngineRead) and not self._is_measured(leaf):
+                found[self._deployment.name(leaf)] = None
+            elif isinstance(leaf, Name) and leaf.name in self._changing:
+                found[f"{leaf.name} after it changes"] = None
+            elif isinstance(leaf, Name) and leaf.name not in seen:
+                behind = self._signals.get(leaf.name) or self._endings.get(leaf.name) or ()
+                found |= self.missing(behind, seen | {leaf.name})
+        return found
+
+    def _is_measured(self, read: EngineRead) -> bool:
+        if read.function in ("age", "message_received"):
+            return True
+        if read.function in _OF_LINES:
+            return all(("position", self._deployment.subjects(read)[:1], part) in self._facts for part in "xyz")
+        return self.fact(read) in self._facts
+
+
+def scored(program: Program, readings: Sequence[Reading]) -> tuple[Program, list[str]]:
+    """The program without the reward terms and endings that nothing measures, and a sentence for each of them.
+
+    Where no term is left, the first one is 0.
+    """
+    known = Measurable(program, readings)
+    lacks = {f"reward.{term.name}": known.missing(term.scalars) for term in program.agent.reward if term.foreign is None}
+    lacks |= {f"termination.{ending.name}": known.missing(ending.scalars) for ending in program.endings if ending.foreign is None}
+    dropped = {name: lacking for name, lacking in lacks.items() if lacking}
+    rewards = tuple(term for term in program.agent.reward if f"reward.{term.name}" not in dropped)
+    if not rewards:
+        rewards = (replace(program.agent.reward[0]),)
+        vars(rewards[0])["scalars"] = (Const(0.0),)  # what a lowered expression keeps there
+    kept = tuple(ending for ending in program.endings if f"termination.{ending.name}" not in dropped)
+    names = {ending.name for ending in kept}
+    program = program.with_agents(
+        reward=rewards,
+        success=tuple(name for name in program.agent.success if name in names),
+    )
+    notes = [f"{name} is left out: nothing measures {_listed([*lacking])}" for name, lacking in dropped.items()]
+    return replace(program, endings=kept), notes
+
+
+def _listed(names: Sequence[str], most: int = 3) -> str:
+    return ", ".join(names[:most]) + (f", and {len(names) - most} more" if len(names) > most else "")
+
+
+# The world as messages describe it
+
+
+class MeasuredWorld(EngineProxy):
+    """An engine whose step is one of the robot, and in which measured facts replace simulated ones."""
+
+    def __init__(self, engine: Engine, program: Program, step: Callable[[], None]) -> None:
+        super().__init__(engine)
+        self.facts: dict[Fact, Any] = {}
+        self._step, self._repeat, self._calls = step, program.action_repeat, 0
+        self._runs = False
+        self._roots = {f"{body.name}.{body.model.root}": body.name for body in program.world.robots}
+
+    def reset(self) -> None:
+        self._runs = False  # the robot takes no part in steps of the reset, in which a simulated one settles
+        super().reset()
+
+    def begin(self) -> None:
+        """The reset is done."""
+        self._runs, self._calls = True, 0
+
+    def step(self, substeps: int) -> None:
+        self._calls += 1
+        if self._runs and self._calls % self._repeat == 0:
+            self._step()
+
+    def _name(self, body: str, link: str | None = None) -> str:
+        name = f"{body}.{link}" if link else body
+        return self._roots.get(name, name)
+
+    def _vector(self, function: str, name: str, own: Sequence[float]) -> Any:
+        return tuple(self.facts.get((function, (name,), part), number) for part, number in zip(_XYZW, own, strict=False))
+
+    def pose(self, body: str, link: str | None = None) -> PoseReader:
+        read, name = super().pose(body, link), self._name(body, link)
+        return lambda: self._posed(name, *read())
+
+    def _posed(self, name: str, position: Any, orientation: Any) -> Any:
+        return self._vector("position", name, position), self._vector("orientation", name, orientation)
+
+    def velocity(self, body: str, link: str | None = None) -> VelocityReader:
+        read, name = super().velocity(body, link), self._name(body, link)
+        return lambda: self._moving(name, *read())
+
+    def _moving(self, name: str, velocity: Any, turning: Any) -> Any:
+        return self._vector("velocity", name, velocity), self._vector("angular_velocity", name, turning)
+
+    def motion(self, body: str, link: str | None = None) -> MotionReader:
+        pose, velocity = self.pose(body, link), self.velocity(body, link)
+        return lambda: (pose(), velocity())
+
+    def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
+        read, names = super().joint_states(robot, joints), [(f"{robot}.{joint}",) for joint in joints]
+        get = self.facts.get
+        return lambda: [
+            (get(("joint_position", name, None), row[0]), get(("joint_velocity", name, None), row[1]), *row[2:])
+            for name, row in zip(names, read(), strict=True)
+        ]
+
+    def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
+        read, names = super().joint_torques(robot, joints), [(f"{robot}.{joint}",) for joint in joints]
+        return lambda: [self.facts.get(("joint_torque", name, None), own) for name, own in zip(names, read(), strict=True)]
+
+    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
+        read = super().contact(one, others, ground=ground)
+        names = (self._name(*one), *(self._name(*other) for other in others or ()))
+        return lambda: self._fact("contact" if others else "collided", names, read)
+
+    def clearance(self, one: Part, other: Part) -> ClearanceReader:
+        read, names = super().clearance(one, other), (self._name(*one), self._name(*other))
+        return lambda: self._fact("clearance", names, read)
+
+    def _fact(self, function: str, names: tuple[str, ...], read: Callable[[], Any]) -> Any:
+        found = self.facts.get((function, names, None))
+        return read() if found is None else found
+
+
+class _Stop(Exception):  # noqa: N818  not an error
+    """The link ends."""
+
+
+class RobotEpisodes:
+    """Episodes of an environment whose steps are those of a robot; the `Policy` of a `Server`.
+
+    Each `step` gives the environment what was measured, and returns the commands of its next step; None while no episode runs. An
+    episode begins with the first values, and a further one when the robot says so.
+    """
+
+    def __init__(self, program: Program, readings: Sequence[Reading], *, engine: str | None, permissions: Permissions) -> None:
+        self._measured, self._answers = SimpleQueue[Any](), SimpleQueue[Any]()
+        self._readings = readings
+        self._known = Measurable(program, readings)
+        self._restarted, self._is_silent = False, False
+        self._action: Any = None
+        self._thread: threading.Thread | None = None
+        self.done: list[Episode] = []
+        self.error: BaseException | None = None
+        self.is_over = False
+        """Whether all episodes have ended."""
+        wrap: Callable[[Engine], Engine] = lambda made: MeasuredWorld(made, program, self._exchange)  # noqa: E731
+        self.environment: Supervisor = api.build(program, engine=engine, permissions=permissions, wrap=wrap)
+        assert isinstance(self.environment.engine, MeasuredWorld)
+        self._world = self.environment.engine
+        outputs = [
+            output(program, robot, command) for robot in program.robots if robot.name in program.agent.robots for command in robot.commands
+        ]
+        self.outputs = outputs
+        self._watch = Watch(self.environment, (), outputs)
+        for controller in self.environment.controllers.values():
+            for name in [name for name in vars(controller) if name.startswith("drive_")]:
+                drive = getattr(controller, name)
+                if hasattr(drive, "switch"):
+                    drive.switch(notes=True, acts=False)
+        self._devices = {
+            reading.info.name: self.environment.controllers[reading.device[0]].device(reading.device[1])
+            for reading in readings
+            if reading.device is not None
+        }
+        self._values: Mapping[str, Any] = {}
+        for name, device in self._devices.items():
+            device.follow(partial(self._of_device, name))
+
+    # In the thread of the server
+
+    def begin(self, driver: Driver, *, count: int, seed: int, options: Mapping[str, Any], max_steps: int | None) -> None:
+        """Let `driver` act in so many episodes, once the robot sends values."""
+        arguments = (driver, count, seed, options, max_steps)
+        self._thread = threading.Thread(target=self._run, args=arguments, daemon=True)
+        self._thread.start()
+
+    def step(self, values: Mapping[str, Any]) -> Mapping[str, Any] | None:
+        if self.is_over:
+            return None
+        self._measured.put(dict(values))
+        found: Mapping[str, Any] | None = self._answers.get()
+        return found
+
+    def reset(self) -> None:
+        self._measured.put(None)
+
+    def close(self, *, is_silent: bool = False) -> None:
+        """End a running episode, which counts if it ends because the robot `is_silent`."""
+        self._is_silent = is_silent
+        self._measured.put(None if is_silent else _Stop())
+        self._measured.put(_Stop())
+        if self._thread is not None:
+            self._thread.join(5.0)
+
+    # In the thread of the environment
+
+    def _run(self, driver: Driver, count: int, seed: int, options: Mapping[str, Any], max_steps: int | None) -> None:
+        left = max_steps
+        try:
+            for number in range(count):
+                self._take(self._first_values(waiting=number > 0 and not self._restarted))
+                self._restarted = False
+                start = Start(seed if number == 0 else None, {**self._goals(), **options})
+                steps = self._until_restart(rollout.steps(self.environment, self._noting(driver), start), left)
+                episode = rollout.result_of(steps, start.seed)
+                cut = SILENT if self._is_silent else RESET_BY_ROBOT if self._restarted else "--steps"
+                self.done.append(episode if episode.ended_by else replace(episode, ended_by=cut))
+                left = None if left is None else left - episode.length
+                if left == 0 or self._is_silent:
+                    break
+                if number + 1 < count and not self._restarted:
+                    self._answers.put(None)
+        except _Stop:
+            pass
+        except BaseException as error:  # noqa: BLE001  it is raised again where the server runs
+            self.error = error
+        self.is_over = True
+        self._answers.put(None)
+
+    def _until_restart(self, steps: Iterator[Step], most: int | None) -> Iterator[Step]:
+        for step in steps:
+            if not step.number:
+                self._world.begin()
+            yield step
+            if (self._restarted and not step.is_last) or step.number == most:
+                return
+
+    def _noting(self, driver: Driver) -> Driver:
+        """The driver, whose action is sent beside the commands."""
+
+        def act(observation: Any) -> Any:
+            self._action = driver.act(observation)
+            return self._action
+
+        noting = Driver(act)
+        noting.begin = driver.begin  # type: ignore[method-assign]
+        return noting
+
+    def _first_values(self, *, waiting: bool) -> Mapping[str, Any]:
+        """The values at the start of an episode; `waiting` for the robot to begin it, with no commands until then."""
+        while True:
+            found = self._measured.get()
+            if isinstance(found, _Stop):
+                raise found
+            if found is None:
+                waiting = False
+            elif waiting:
+                self._answers.put(None)
+            else:
+                return dict(found)
+
+    def _exchange(self) -> None:
+        """A step of the robot: send the commands, and wait for what it measures next. Nothing changes if it begins anew."""
+        action = {} if isinstance(self._action, dict) else {ACTION: np.asarray(self._action, float).reshape(-1)}
+        self._answers.put({**action, **self._watch.commands()})
+        found = self._measured.get()
+        if isinstance(found, _Stop):
+            raise found
+        if found is None:
+            self._restarted = True
+        else:
+            self._take(found)
+
+    def _take(self, values: Mapping[str, Any]) -> None:
+        self._values = values
+        for reading in self._readings:
+            if reading.device is None and reading.info.name in values:
+                numbers = np.asarray(values[reading.info.name]).reshape(-1).tolist()
+                self._world.facts.update(zip(self._known.facts_of(reading), numbers, strict=False))
+
+    def _of_device(self, name: str) -> Sequence[Any]:
+        value = self._values[name]
+        return (value,) if value.dtype == np.uint8 else value.reshape(-1).tolist()
+
+    def _goals(self) -> dict[str, Any]:
+        """The parameters that the robot was given, as options of a reset."""
+        found = {}
+        for reading in self._readings:
+            if reading.info.source == "goal" and reading.info.name in self._values:
+                numbers = self._values[reading.info.name].tolist()
+                found[reading.info.name] = numbers if reading.info.components else numbers[0]
+        return found
+
+
+class _Silence:
+    """Called in every turn of a server: whether the robot is silent.
+
+    Raises:
+        UsageError: The other end does not fit.
+    """
+
+    def __init__(self, server: Server, seconds: float) -> None:
+        self._server, self._seconds = server, seconds
+        self._received, self._since = 0, time.monotonic()
+        self.is_over = False
+        """Whether it was silent for too long."""
+
+    def __call__(self) -> bool:
+        misfit = next((remark.text for remark in self._server.link.remarks() if remark.is_misfit), "")
+        if misfit:
+            raise UsageError(misfit)
+        if self._server.intake.received != self._received:
+            self._received, self._since = self._server.intake.received, time.monotonic()
+        self.is_over = time.monotonic() > self._since + self._seconds
+        return self.is_over
+
+
+def try_robot(
+    program: Program,
+    transport: Transport,
+    make_driver: Callable[[Supervisor], Driver],
+    *,
+    episodes: int = 1,
+    seed: int = 0,
+    options: Mapping[str, Any] | None = None,
+    max_steps: int | None = None,
+    seconds: float = 60.0,
+    lockstep: bool = False,
+    speed: float = 1.0,
+    engine: str | None = None,
+    permissions: Permissions = Permissions(),
+    note: Callable[[str], object] = lambda text: None,
+) -> tuple[list[Episode], dict[str, Any]]:
+    """The episodes that ended, and the report of the server.
+
+    Args:
+        make_driver: Returns who acts, for the environment.
+        seconds: How long the robot may be silent.
+
+    Raises:
+        UsageError: The link cannot be opened, the robot is silent, or it does not fit the scenario.
+    """
+    bare = robot_program(program)
+    readings = sent_readings(bare)
+    kept, notes = scored(bare, readings)
+    given = mapping(program)
+    player = RobotEpisodes(kept, readings, engine=engine, permissions=permissions)
+    with closing(player.environment):
+        driver = make_driver(player.environment)
+        outputs = outputs_of_entries(player.outputs)
+        inputs = inputs_of_entries([reading.info for reading in readings], 1.0 / bare.period, needs_goals=False)
+        try:
+            receives = mapped([field_of(reading.info) for reading in readings], given)
+            sends = [
+                action_field(len(program.agent.choices) or len(program.agent.range_names)),
+                *mapped([each.field for each in outputs], given, commands=True),
+            ]
+            about = About("policy", program.name, identity.task_digest(program), pace(lockstep=lockstep, speed=speed), scores=True)
+            link = transport.open(receives, sends, robot=False, about=about)
+        except ServeError as error:
+            raise UsageError(str(error)) from None
+        for text in notes:
+            note(text)
+        with closing(link), stopping() as stopped:
+            server = Server(player, inputs, outputs, link, 1.0 / bare.period, lockstep=lockstep, speed=speed, log=Notes(None, note))
+            note(f"{program.name} acts at {1.0 / bare.period:g} Hz over {link.name}")
+            player.begin(driver, count=episodes, seed=seed, options=options or {}, max_steps=max_steps)
+            silence = _Silence(server, seconds)
+            try:
+                server.run(lambda: stopped() or player.is_over or silence())
+            finally:
+                player.close(is_silent=silence.is_over)
+            if stopped():
+                raise KeyboardInterrupt
+        if player.error is not None:
+            raise player.error
+        if not player.done:
+            missing = ", ".join(server.intake.missing()[:5])
+            raise UsageError(f"no value of {missing or 'any input'} came in {seconds:g} s over {link.name}")
+        return player.done, server.report()

@@ -1,0 +1,155 @@
+"""Reading the log of a robot, which `deepbots serve --log` writes, with the bundle and the scenario of the policy that acted."""
+
+from __future__ import annotations
+
+import shutil
+import weakref
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.rollout.recordings import RecordingError, safe_name, scenario_folder
+
+if TYPE_CHECKING:
+    from deepbots_robot.model import BundleInfo
+
+MAX_STEPS = 500_000
+
+
+class LoggedStep(msgspec.Struct, frozen=True):
+    """A command, and what the policy knew.
+
+    Attributes:
+        time: In s since the episode began.
+        inputs: The values by input, in C order; none in the safe posture, in which the policy is not asked.
+        ages: The age of each value in s.
+        commands: By output.
+        answer: Time in s from the newest value to the command.
+        posture: `policy` or `safe`.
+        events: What happened since the step before, a sentence each.
+    """
+
+    time: float
+    inputs: dict[str, list[float]]
+    ages: dict[str, float]
+    commands: dict[str, list[float]]
+    answer: float
+    posture: str
+    events: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class LoggedEpisode:
+    """An episode of a log. Its start is unknown: a simulation begins it with `seed`."""
+
+    number: int
+    steps: Sequence[LoggedStep]
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class RobotLog:
+    """A log as it was read; `folder` holds the scenario, as long as the log is in use."""
+
+    path: Path
+    metadata: Mapping[str, str]
+    info: BundleInfo
+    episodes: Sequence[LoggedEpisode]
+    folder: Path
+
+    @staticmethod
+    def read(path: Path) -> RobotLog:
+        """Read a log, also one of a process that was killed, and unpack its scenario into a folder of its own.
+
+        Raises:
+            RecordingError: It cannot be read, has no step, or no scenario; says why in one sentence.
+            MissingExtraError: mcap is not installed.
+        """
+        try:
+            from deepbots_robot.log import read_attached, read_log
+            from deepbots_robot.model import BundleError, decode
+        except ModuleNotFoundError as error:
+            raise MissingExtraError("view", "the log of a robot") from error
+        try:
+            files = read_attached(path)
+            description = files.pop("bundle.json", None)
+            if description is None or "resolved.yaml" not in files:
+                raise RecordingError(
+                    f"{path} is the log of a robot without the scenario, which the page draws; serve a whole bundle of this version of"
+                    f" deepbots, or read the log with: deepbots diagnose {path}"
+                )
+            info = decode(description)
+            episodes = list(_episodes(read_log(path)))
+            folder = scenario_folder(path, {safe_name(name): content for name, content in files.items()})
+        except (OSError, ValueError, TypeError, msgspec.MsgspecError, BundleError) as error:
+            if isinstance(error, UsageError):
+                raise
+            raise RecordingError(f"{path} cannot be read as the log of a robot: {' '.join(str(error).split())[:120]}") from error
+        if not episodes:
+            raise RecordingError(f"{path} contains no step: the robot sent no complete set of values")
+        known = {"scenario": info.scenario.name, "digest": info.scenario.digest}
+        found = RobotLog(path, known, info, episodes, folder)
+        weakref.finalize(found, shutil.rmtree, folder, ignore_errors=True)
+        return found
+
+    def episode(self, number: int) -> LoggedEpisode:
+        """The episode of this number.
+
+        Raises:
+            UsageError: There is none; says which there are.
+        """
+        found = next((episode for episode in self.episodes if episode.number == number), None)
+        if found is None:
+            raise UsageError(f"{self.path} contains no episode {number}; list them with: deepbots replay {self.path}")
+        return found
+
+
+def is_robot_log(path: Path) -> bool:
+    """Whether a file is the log of `deepbots serve`, and no recording of a simulation."""
+    try:
+        from mcap import records
+        from mcap.stream_reader import StreamReader
+    except ModuleNotFoundError:
+        return False
+    try:
+        with path.open("rb") as file:
+            first = islice(StreamReader(file, record_size_limit=1 << 20).records, 8)
+            return any(isinstance(found, records.Metadata) and found.name == "deepbots_robot" for found in first)
+    except Exception:  # noqa: BLE001  mcap raises errors of many kinds for a file that is no MCAP file
+        return False
+
+
+def _episodes(messages: Iterator[tuple[str, float, dict[str, Any]]]) -> Iterator[LoggedEpisode]:
+    """The episodes with a step. They have the numbers of the log, or their places where a number comes twice."""
+    found: list[tuple[int, list[LoggedStep]]] = []
+    begun, events, count = 0.0, list[str](), 0
+    for topic, stamp, content in messages:
+        kind, text = (str(content.get(key, "")) for key in ("kind", "text"))
+        if topic == "/event" and kind == "episode":
+            found.append((int(text) if text.isdecimal() else 0, []))
+            begun, events = stamp, []
+        elif topic == "/event":
+            events.append(f"{_KINDS.get(kind, '')}{text}"[:200])
+        elif topic == "/step":
+            if not found:
+                found.append((0, []))
+                begun = stamp
+            count += 1
+            if count > MAX_STEPS:
+                break
+            content = {"ages": {}, **content, "time": max(0.0, stamp - begun), "events": events}
+            found[-1][1].append(msgspec.convert(content, LoggedStep))
+            events = []
+    numbers = Counter(number for number, steps in found if steps)
+    twice = any(times > 1 for times in numbers.values())
+    for place, (number, steps) in enumerate([each for each in found if each[1]]):
+        yield LoggedEpisode(place if twice else number, steps)
+
+
+_KINDS = {"safe": "safe posture: ", "resumed": "the policy acts again: ", "refused": "a message was refused: "}

@@ -1,0 +1,98 @@
+"""What the two ends of a link say about themselves, and what of it does not fit: fields, scenario, pace."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Literal, NamedTuple
+
+import msgspec
+from msgspec import Meta
+
+from deepbots_robot.topics import ACTION, Field, describe
+
+MAX_FIELDS = 4096
+Text = Annotated[str, Meta(max_length=200)]
+Role = Literal["policy", "robot"]
+
+
+class About(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
+    """One end of a link.
+
+    Attributes:
+        role: Whether it acts, or is acted for.
+        scenario: The name of its scenario.
+        digest: Of what makes an episode of this scenario.
+        pace: How its time passes: `in lockstep`, or `at speed 1`.
+        sends: What it sends: counts and units by the names of fields. ROS 2 has types of topics instead.
+        takes: What it receives.
+        scores: Whether it needs the values at the end of an episode too, since it computes rewards.
+    """
+
+    role: Role
+    scenario: Text
+    digest: Text
+    pace: Text
+    sends: Annotated[dict[Text, Text], Meta(max_length=MAX_FIELDS)] = {}
+    takes: Annotated[dict[Text, Text], Meta(max_length=MAX_FIELDS)] = {}
+    scores: bool = False
+
+
+class Remark(NamedTuple):
+    """A sentence about the other end; nothing works with an end that `is_misfit`."""
+
+    text: str
+    is_misfit: bool = False
+
+
+def pace(*, lockstep: bool, speed: float) -> str:
+    return "in lockstep" if lockstep else f"at speed {speed:g}"
+
+
+def with_fields(about: About, sends: Sequence[Field], takes: Sequence[Field]) -> About:
+    """With what it sends and receives, without the action, which nobody needs."""
+    named = ({field.name: describe(field) for field in fields if field.name != ACTION} for fields in (sends, takes))
+    return msgspec.structs.replace(about, **dict(zip(("sends", "takes"), named, strict=True)))
+
+
+def misfit(own: About, other: About) -> str:
+    """Why the two ends cannot work together; empty if they can."""
+    problem = _difference(own, other) or _difference(other, own)
+    if own.role == other.role:
+        problem = f"it is a {own.role} too"
+    return f"{_other(other)} does not fit {_this(own)}: {problem}" if problem else ""
+
+
+def _difference(sender: About, taker: About) -> str:
+    """The first field that one end sends otherwise than the other one takes it."""
+    for name in (*taker.takes, *sender.sends):
+        sent, taken = sender.sends.get(name), taker.takes.get(name)
+        if sent is None:
+            return f"the {taker.role} needs {name} ({taken}), which the {sender.role} does not send"
+        if taken is None:
+            return f"the {sender.role} sends {name} ({sent}), which the {taker.role} does not know"
+        if sent != taken:
+            return f"the {sender.role} sends {name} as {sent}, and the {taker.role} takes {taken}"
+    return ""
+
+
+def differences(own: About, other: About) -> list[str]:
+    """What two ends that work together should agree on."""
+    if own.scenario != other.scenario:
+        return [f"{_other(other)} is of another scenario than {_this(own)}"]
+    found = []
+    if own.digest != other.digest:
+        found.append(
+            f"{_other(other)} is of another version of the scenario than {_this(own)}: another world, other values, or another robot file"
+        )
+    if own.pace != other.pace:
+        paces = f"the {other.role} runs {other.pace}, and this {own.role} {own.pace}"
+        found.append(f"{paces}; give --lockstep, or the same --speed, on both sides")
+    return found
+
+
+def _other(about: About) -> str:
+    return f"the {about.role} of {about.scenario} at the other end"
+
+
+def _this(about: About) -> str:
+    return f"this {about.role} of {about.scenario}"

@@ -1,0 +1,132 @@
+"""The other programs in a domain of ROS 2: which topics of ours they use, and how, and what those of deepbots say about themselves."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import msgspec
+from cyclonedds.builtin import (
+    BuiltinDataReader,
+    BuiltinTopicDcpsParticipant,
+    BuiltinTopicDcpsPublication,
+    BuiltinTopicDcpsSubscription,
+)
+from cyclonedds.core import InstanceState
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.qos import Policy
+
+from deepbots_robot.about import About, Remark, differences
+
+MARK = b"deepbots="
+"""What the user data of a participant begins with, before the `About` as JSON."""
+_MOST, _TAKEN = 2000, 50
+"""How many ends of topics are known at most, and how many are taken at a time; a call that takes none lasts 0.05 ms."""
+
+
+class End(NamedTuple):
+    """Our end of a topic."""
+
+    type: str
+    sends: bool
+    is_reliable: bool
+
+
+class Others:
+    """Watches the other programs in a domain."""
+
+    def __init__(self, participant: DomainParticipant, ends: Mapping[str, End], about: About | None) -> None:
+        """`ends` are our topics, by their names in DDS."""
+        self._own, self._about, self._ends = participant.guid, about, ends
+        topics = (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription, BuiltinTopicDcpsParticipant)
+        self._readers: list[tuple[Any, dict[Any, Any]]] = [(BuiltinDataReader(participant, topic), {}) for topic in topics]
+
+    def sent_by_others(self, names: Sequence[str]) -> str:
+        """The first of these topics that another program sends on; empty if there is none."""
+        self._update()
+        return next((_plain(each.topic_name) for is_sent, each in self._of_others() if is_sent and each.topic_name in names), "")
+
+    def remarks(self) -> list[Remark]:
+        """What does not fit between our topics and those of others, and which topics several programs send on."""
+        self._update()
+        found = []
+        senders: Counter[str] = Counter()
+        for is_sent, each in self._of_others():
+            own, topic = self._ends[each.topic_name], _plain(each.topic_name)
+            senders[each.topic_name] += is_sent
+            if each.type_name != _dds_type(own.type):
+                found.append(
+                    Remark(f"{topic} has messages of the type {_ros_type(each.type_name)} at the other end, and {own.type} here", True)
+                )
+            elif own.sends is not is_sent and (text := _lost(topic, own, each, is_sent=is_sent)):
+                found.append(Remark(text))
+        for name, count in senders.items():
+            everybody = count + self._ends[name].sends
+            if everybody > 1 and count:
+                found.append(Remark(f"{everybody} programs send on {_plain(name)}; end all but one, or give each robot its own --domain"))
+        return found + [Remark(text) for text in self._differences()]
+
+    def abouts(self) -> list[About]:
+        """What programs of deepbots in the domain say about themselves."""
+        read = [_about(each) for key, each in self._readers[2][1].items() if key != self._own]
+        return [each for each in read if each is not None]
+
+    def _update(self) -> None:
+        """Take what has changed since the last call."""
+        for reader, known in self._readers:
+            for each in reader.take(_TAKEN):
+                if each.sample_info.instance_state == InstanceState.Alive and len(known) < _MOST:
+                    known[each.key] = each
+                else:
+                    known.pop(each.key, None)
+
+    def _of_others(self) -> Iterator[tuple[bool, Any]]:
+        """Who sends (True) or receives on a topic of ours."""
+        for (_, known), is_sent in zip(self._readers[:2], (True, False), strict=True):
+            yield from ((is_sent, each) for each in known.values() if each.participant_key != self._own and each.topic_name in self._ends)
+
+    def _differences(self) -> list[str]:
+        """What programs of deepbots with the other role should agree on with this one."""
+        own = self._about
+        if own is None:
+            return []
+        found = [each for each in self.abouts() if each.role != own.role]
+        near = [each for each in found if each.scenario == own.scenario]
+        return [text for each in near or found for text in differences(own, each)]
+
+    def close(self) -> None:
+        self._readers.clear()
+
+
+def _about(participant: Any) -> About | None:
+    """What a program says about itself; None where it is none of deepbots."""
+    data = bytes(participant.qos[Policy.Userdata].data) if Policy.Userdata in participant.qos else b""
+    try:
+        return msgspec.json.decode(data.removeprefix(MARK), type=About) if data.startswith(MARK) else None
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        return None
+
+
+def _lost(topic: str, own: End, other: Any, *, is_sent: bool) -> str:
+    """Why no message passes: one end asks for reliable ones, and the other one sends with best effort. Empty if messages pass."""
+    is_reliable = Policy.Reliability in other.qos and isinstance(other.qos[Policy.Reliability], Policy.Reliability.Reliable)
+    if is_sent and own.is_reliable and not is_reliable:
+        return f"another program sends {topic} with best effort, and reliable messages are asked for here: none arrives"
+    if not is_sent and is_reliable and not own.is_reliable:
+        return f"another program asks for reliable messages on {topic}, which is sent with best effort: none arrives there"
+    return ""
+
+
+def _plain(name: str) -> str:
+    return name.removeprefix("rt")
+
+
+def _dds_type(type: str) -> str:
+    package, _, name = type.partition("/")
+    return f"{package}::msg::dds_::{name}_"
+
+
+def _ros_type(name: str) -> str:
+    """A type as people write it."""
+    return name.replace("::msg::dds_::", "/").removesuffix("_")[:100]
