@@ -127,7 +127,9 @@ def training_text(result: TrainingResult) -> str:
     at = result.solved_at
     if at is not None:
         took = f"{at.simulated_hours:.3f} simulated h, {at.cpu_seconds:.1f} s of CPU time"
-        rows["solved"] = f"in training episode {at.episode:,}, after {took}"
+        # A teacher's pupil may be solved by an evaluation while exploration spoils its own episodes.
+        evaluated = at.steps == result.steps and at.mean_return != result.mean_return
+        rows["solved"] = f"{'by an evaluation after' if evaluated else 'in'} training episode {at.episode:,}, after {took}"
     rows["stopped by"] = result.stopped_by and f"the callback {result.stopped_by}"
     rows["initialized from"] = result.initialized_from
     lines = [f"training {result.status}", row_as_lines(rows), *(f"note: {reason}" for reason in result.inexact)]

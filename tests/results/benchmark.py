@@ -65,7 +65,9 @@ def ppo(gamma: float, *, worlds: int = 8, epochs: int = 10, batch: int = 128, ra
     values = f"n_steps: {2048 // worlds if worlds > 8 else 64}, batch_size: {batch}, n_epochs: {epochs}, learning_rate: {rate}"
     section = f"{{algorithm: PPO, total_timesteps: {PPO_STEPS}, environments: {worlds}, {values}, gamma: {gamma}, gae_lambda: 0.95"
     return Cell(
-        "PPO", _training("PPO", "mujoco", f"train={section}, normalize: reward, network: {{hidden: [64, 64]}}}}"), "chosen learner, PPO"
+        "PPO",
+        _training("PPO", "mujoco", f"train={section}, normalize: reward, network: {{hidden: [64, 64]}}}}"),
+        "values of the chosen learner (PPO)",
     )
 
 

@@ -12,9 +12,10 @@ from deepbots_cli.learning.run import write_text
 from deepbots_cli.learning.statistics import mean_interval, wilson
 from tests.results import measure
 from tests.results.benchmark import CPU_LIMIT, SEEDS, Cell, Task
+from tests.results.card import NOTE, count, measured_on, number, slug, table, wrapped
 from tests.results.experiment import Evaluation
 from tests.results.measure import Places
-from tests.results.page import Entry, Standing, count, measured_on, number, table, wrapped
+from tests.results.standing import Entry, Standing
 
 HELD_OUT = Evaluation().name
 ENGINE_NAMES = {"pybullet": "PyBullet", "mujoco": "MuJoCo"}
@@ -22,6 +23,8 @@ ABSENT = {"DQN": "continuous actions", "DDPG": "not compared"}
 """Why a task has no cell for an algorithm that others have."""
 
 HEAD = f"""\
+{NOTE}
+
 # Benchmark
 
 Several algorithms learn the same tasks. Each task runs on the engine that steps it fastest, or on PyBullet, the default, if MuJoCo is
@@ -35,8 +38,8 @@ not a tenth faster. Each algorithm is trained with {len(SEEDS)} seeds, {SEEDS[0]
 - **Limit.** A training ends when an evaluation confirms that the task is solved, or after the timesteps in the column "limit". With
   this limit, a training takes about {CPU_LIMIT // 60} minutes of CPU at most; the column "CPU of a training" shows what they took.
 - **Held out.** The best policy of each training runs 100 episodes with starts that no training uses.
-- **Intervals** are of 95 %, over seeds and episodes: the wider one of the interval over all episodes together and of Student's
-  interval over the means of the seeds. Three seeds show little about rare failures of a training.
+- [**Intervals**](statistics.md) are of 95 %, over seeds and episodes: the wider one of the interval over all episodes together and of
+  Student's interval over the means of the seeds. Three seeds show little about rare failures of a training.
 - **Until solved.** The median over the seeds, with the least and the largest. A seed that is not solved counts as longer than any other.
   CPU time is that of the training with its evaluations, without the start of Python. "CPU of a training" is the mean over the seeds of
   the whole command. CPU times vary with the machine, and are up to a half longer beside other work. Steps and simulated hours do not
@@ -160,7 +163,7 @@ def _summary(tasks: Sequence[Task], found: Mapping[str, list[Row]]) -> Iterator[
     body = []
     for task in tasks:
         cells = {row.cell.algorithm: _in_short(row) for row in found[task.scenario]}
-        body.append((f"[{task.title}](#{task.title.lower()})", *(cells[name] if name in cells else ABSENT[name] for name in names)))
+        body.append((f"[{task.title}](#{slug(task.title)})", *(cells[name] if name in cells else ABSENT[name] for name in names)))
     yield from table(("task", *names), body)
 
 
