@@ -81,7 +81,11 @@ class Transport:
         Raises:
             ServeError: The package of the link is missing, or the address, the interface or a topic cannot be used.
         """
-        if self.is_ros and any(topic.type == "sensor_msgs/CompressedImage" for _, topic in (*receives, *sends)) and find_spec("PIL") is None:
+        if (
+            self.is_ros
+            and any(topic.type == "sensor_msgs/CompressedImage" for _, topic in (*receives, *sends))
+            and find_spec("PIL") is None
+        ):
             raise ServeError("pillow, which reads compressed images, is not installed; install it with: pip install pillow")
         if self.ros1:
             return self._ros1(receives, sends, robot=robot, about=about)
