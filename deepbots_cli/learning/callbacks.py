@@ -383,9 +383,8 @@ class TrainingCallback:
         """
         check_finite(self.learner, self.run)
         steps, solved = self.statistics.steps, self.statistics.solved
-        is_ready = self.statistics.full or (self.teaching is not None and self.statistics.episodes >= EVALUATION_EPISODES)
         fits = self.evaluator.steps + EVALUATION_EPISODES * self.statistics.mean_length <= share * steps
-        if not is_ready or steps == self._evaluated_at or not fits:
+        if not self.statistics.full or steps == self._evaluated_at or not fits:
             return
         began = time.monotonic()
         scenario, stage = self.curriculum.scenario_of(self.curriculum.index), self.curriculum.name

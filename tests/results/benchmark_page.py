@@ -278,11 +278,18 @@ def first(found: Sequence[Row]) -> Row | None:
 def _advice(task: Task, found: Sequence[Row]) -> str:
     """What the `train` section of the scenario has to do with the table."""
     best, algorithm = first(found), own_algorithm(task)
+    measured = [row.cell.algorithm for row in found if row.entries]
     missing = any(row.cell.training and len(row.entries) < len(SEEDS) for row in found)
-    so_far = " so far" if missing else ""
-    if best is None:
-        return f"The scenario recommends {algorithm}. No algorithm has solved the task here{so_far}. {task.advice}".rstrip()
-    how = f"solves the task{so_far} with {best.solved} of {_seeds(len(best.entries))}, in the least CPU time"
-    if best.is_own:
-        return f"The scenario recommends {algorithm}, which {how}. {task.advice}".rstrip()
-    return f"The scenario recommends {algorithm}, although {best.cell.algorithm} {how}. {task.advice}".rstrip()
+    if not measured:
+        how = ". Nothing is measured yet"
+    elif best is None:
+        how = f". No algorithm has solved the task here{' so far' if missing else ''}"
+    elif len(measured) == 1:
+        how = (
+            f". {best.cell.algorithm} solves the task with {best.solved} of {_seeds(len(best.entries))}; no other algorithm is measured yet"
+        )
+    else:
+        among = f" of those measured so far ({', '.join(measured)})" if missing else ""
+        how = f"{', which' if best.is_own else f', although {best.cell.algorithm}'} is first{among}: it solves the task"
+        how += f" with {best.solved} of {_seeds(len(best.entries))}, in the least CPU time"
+    return f"The scenario recommends {algorithm}{how}. {task.advice}".rstrip()

@@ -10,10 +10,10 @@ import pytest
 
 from deepbots_cli.learning.statistics import wilson
 from tests.results import benchmark, measure
-from tests.results.__main__ import main
-from tests.results.benchmark import SEEDS, TASKS, Task
+from tests.results.__main__ import main, measured
+from tests.results.benchmark import SEEDS, TASKS, Cell, Task
 from tests.results.benchmark_page import first, own_algorithm, page, return_interval, rows, success_interval
-from tests.results.experiment import FIRST_SEED, experiments
+from tests.results.experiment import FIRST_SEED, Evaluation, Training, experiments
 from tests.results.measure import ROOT, Places
 
 PLACES = Places()
@@ -96,3 +96,24 @@ def test_the_command_on_the_page_measures_what_is_missing(tmp_path: Path, capsys
     cells = {task.experiment.name: sum(cell.training is not None for cell in task.cells) for task in TASKS}
     assert {name: int(number) for name, number in counted} == {name: 1 + 2 * len(SEEDS) * number for name, number in cells.items()}
     assert f"python -m tests.results {benchmark.GROUP}/cartpole" in (ROOT / "docs" / "benchmark.md").read_text(encoding="utf-8")
+
+
+def tiny(algorithm: str) -> Cell:
+    section = f"train={{algorithm: {algorithm}, total_timesteps: 2000}}"
+    evaluation = Evaluation(episodes=3)
+    return Cell(algorithm, Training(SEEDS[:1], algorithm, (section, "evaluation={episodes: 3}"), evaluations=(evaluation,)))
+
+
+@pytest.mark.slow
+def test_cells_are_measured_once_and_end_on_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    cells = (tiny("PPO"), tiny("DQN"), Cell("SAC", None, reason="discrete actions"))
+    task, places = Task("tests/data/scenarios/rail.yaml", "Rail", "pybullet", cells), Places(records=tmp_path, runs=tmp_path)
+    assert measured(task.experiment, places) == 0
+    assert capsys.readouterr().err.count(": done in") == 1 + 2 * 2
+    text = page(places, [task])
+    assert "0 are measured with all 3 seeds, 2 with fewer, and 0 are not measured yet." in text
+    interval = r"-?[\d.]+ \(-?[\d.]+ \.\. -?[\d.]+\)"
+    assert re.search(rf"^\| PPO \*? ?\| .* \| {interval} \| \d of 1 ", text, re.MULTILINE)
+    assert "| SAC | discrete actions |" in text
+    assert measured(task.experiment, places) == 0
+    assert capsys.readouterr().err == ""
