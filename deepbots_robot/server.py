@@ -179,8 +179,11 @@ class Server:
         """How long nothing has to be done, in s."""
         if self._lockstep or not np.isfinite(self._due):
             return _LONGEST_WAIT
-        until = self._due + (0.0 if self.intake.complete() else LATE * self._period)
-        return float(min(max(0.0, min(until, self.intake.deadline()) - self._clock()), _LONGEST_WAIT))
+        if self._fault:  # the deadline has passed
+            until = self._due
+        else:
+            until = min(self._due + (0.0 if self.intake.complete() else LATE * self._period), self.intake.deadline())
+        return float(min(max(0.0, until - self._clock()), _LONGEST_WAIT))
 
     def turn(self) -> None:
         """Take what has arrived, and act if it is time."""

@@ -58,8 +58,10 @@ class Line:
         self.now = 100.0
         self.coming: list[tuple[float, Arrival]] = []
         self.sent: list[tuple[float, list[float]]] = []
+        self.waits = 0
 
     def wait(self, timeout: float) -> None:
+        self.waits += 1
         until = min([self.now + max(timeout, 1e-4), *(at for at, _ in self.coming)])
         self.now = max(self.now, until)
 
@@ -132,6 +134,15 @@ def test_uneven_messages_are_used_once_each() -> None:
         world.line.put(100.0 + step / RATE + rng.uniform(0.0, 0.004), 0.001 * step, 100.0 + step / RATE)
     world.run(104.0)
     assert world.policy.seen == [0.001 * step for step in range(200)]
+
+
+def test_a_silent_robot_costs_a_wait_for_each_period() -> None:
+    world = World()
+    world.line.put(100.0, 0.1)
+    world.run(101.0)
+    before = world.line.waits
+    assert len(world.run(103.0)) == pytest.approx(2 * RATE, abs=2)
+    assert world.line.waits - before <= 2.2 * RATE
 
 
 def test_a_missing_value_is_bridged_and_silence_ends_in_the_safe_posture_within_one_period() -> None:
