@@ -11,11 +11,12 @@ onnx_file.py  whether a graph consists of known operators alone
 bundle.py     loading a bundle with all checks; the policy as an object to call
 topics.py     which part of a ROS 2 message carries a field, with units and counts; the first topics of a robot
 idl.py        the ROS 2 messages as types of Cyclone DDS
-ros.py        fields as ROS 2 messages and back
+ros.py        fields as messages of ROS and back
 about.py      what the two ends of a link say about themselves, and what of it does not fit
 link.py       what a link between robot and policy is
 discovery.py  the other programs in a domain of ROS 2
 dds.py        the link over ROS 2
+ros1.py       the link over ROS 1
 messages.py   the messages of ZeroMQ and WebSocket
 zeromq.py     the link over ZeroMQ
 websocket.py  the link over WebSocket

@@ -18,6 +18,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m deepbots_robot", description="Act for a robot by the policy of a bundle.")
     parser.add_argument("bundle", type=Path, help="a folder of `deepbots export`")
     parser.add_argument("--ros", action="store_true", help="ROS 2 over Cyclone DDS; the default")
+    parser.add_argument("--ros1", action="store_true", help="ROS 1 by rospy, at the master of ROS_MASTER_URI")
     parser.add_argument("--interface", metavar="NAME", help="network interface of ROS 2; by default the loopback interface")
     parser.add_argument("--domain", metavar="N", type=int, default=0, help="domain of ROS 2, as ROS_DOMAIN_ID")
     parser.add_argument("--zmq", metavar="ADDRESS", help="ZeroMQ at an address such as tcp://127.0.0.1:5555")
@@ -28,7 +29,7 @@ def main() -> int:
     parser.add_argument("--seconds", metavar="N", type=float, help="stop after so many seconds")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     given = parser.parse_args()
-    transport = Transport(given.zmq, given.websocket, given.interface, given.domain)
+    transport = Transport(given.zmq, given.websocket, given.interface, given.domain, given.ros1)
     try:
         report = serve(
             load(given.bundle), transport, speed=given.speed, lockstep=given.lockstep, log=given.log, seconds=given.seconds,

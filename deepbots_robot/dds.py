@@ -1,11 +1,16 @@
 """The link over ROS 2: topics of Cyclone DDS, on the loopback interface unless another one is named.
 
+A topic `/cart/joint_states` of ROS 2 is the topic `rt/cart/joint_states` of DDS. Sensors are sent as ROS 2 sends sensor data: best
+effort, the last five messages; commands and resets arrive reliably. An image takes its time in this serializer: 640 x 480 pixels in
+color take 34 to 67 ms, 64 x 48 less than 1 ms.
+
 Every program in a domain knows the topics and types of the others, so that a type that differs or a second policy is noticed whoever
 the other end is. What two ends of deepbots say about themselves is the user data of their participants.
 """
 
 from __future__ import annotations
 
+import math
 import re
 import socket
 import time
@@ -27,7 +32,7 @@ from deepbots_robot import idl
 from deepbots_robot.about import About, Remark
 from deepbots_robot.discovery import MARK, End, Others
 from deepbots_robot.link import ACTION_TOPIC, EPISODE_TOPIC, Array, Arrival
-from deepbots_robot.ros import Codec, stamp_of, time_of
+from deepbots_robot.ros import Codec, by_topic, stamp_of
 from deepbots_robot.topics import Field, Topic
 
 MAX_DOMAIN = 232
@@ -42,6 +47,8 @@ SENSOR_DATA = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(5), Pol
 COMMANDS = Qos(Policy.Reliability.Reliable(duration(milliseconds=100)), Policy.History.KeepLast(10), Policy.Durability.Volatile, _PLAIN_CDR)
 """The default profile of ROS 2, for commands and resets."""
 _TAKEN = 256
+_CONNECTED = 2.0
+"""Seconds after the first connection in which listeners of all topics are waited for; another program may leave some out."""
 _DISCOVERY = 0.5
 """Seconds in which a policy looks for another one before it begins; on one machine they find each other within 0.1 s."""
 
@@ -96,6 +103,7 @@ class RosLink:
         self._writers = [(self._writer(name, codec.type, qos[name]), codec) for name, codec in _by_topic(sends).items()]
         ends = {f"rt{name}": End(codec.type, name in _by_topic(sends), qos[name] is COMMANDS) for name, codec in codecs.items()}
         ends[f"rt{EPISODE_TOPIC}"] = End("std_msgs/Header", robot, is_reliable=True)
+        self._connected_at = math.inf
         self._others = Others(self._participant, ends, about)
         if about is not None and about.role == "policy":
             self._refuse_a_second_policy([f"rt{name}" for name in _by_topic(sends) if name != ACTION_TOPIC])
@@ -145,12 +153,16 @@ class RosLink:
 
     def reset(self, number: int, stamp: float) -> None:
         if self._episode_writer is not None:
-            self._episode_writer.write(idl.Header(time_of(stamp), str(number)))
+            self._episode_writer.write(idl.Header(idl.time_of(stamp), str(number)))
             with suppress(Exception):  # a reader that was killed never answers, and cyclonedds then raises an AttributeError of its own
                 self._episode_writer.wait_for_acks(duration(seconds=1))
 
     def connected(self) -> bool:
-        return any(writer.get_matched_subscriptions() for writer, _ in self._writers)
+        writers = [writer for writer, _ in self._writers]
+        matched = [bool(writer.get_matched_subscriptions()) for writer in [*writers, self._episode_writer] if writer is not None]
+        if any(matched):
+            self._connected_at = min(self._connected_at, time.monotonic())
+        return all(matched) or time.monotonic() > self._connected_at + _CONNECTED
 
     def remarks(self) -> Sequence[Remark]:
         return self._others.remarks()
@@ -167,11 +179,7 @@ class RosLink:
 
 
 def _by_topic(mapped: Mapped) -> dict[str, Codec]:
-    """The codec of each topic."""
-    sharing: dict[str, list[tuple[Field, Topic]]] = {}
-    for field, topic in mapped:
-        sharing.setdefault(topic.name, []).append((field, topic))
-    return {name: Codec(entries[0][1].type, entries) for name, entries in sharing.items()}
+    return by_topic(mapped, idl.empty)
 
 
 def _taken(reader: Any) -> list[Any]:

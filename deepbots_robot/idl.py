@@ -4,6 +4,7 @@ Every type is `final`, so that its bytes are plain CDR, as ROS 2 sends them. `TY
 such as `sensor_msgs/JointState`. Needs the package `cyclonedds`; type annotations of this module are read when it is imported.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -173,6 +174,14 @@ class Image(IdlStruct, typename="sensor_msgs::msg::dds_::Image_"):
 
 @final
 @dataclass
+class CompressedImage(IdlStruct, typename="sensor_msgs::msg::dds_::CompressedImage_"):
+    header: Header
+    format: str
+    data: sequence[uint8]
+
+
+@final
+@dataclass
 class MultiArrayDimension(IdlStruct, typename="std_msgs::msg::dds_::MultiArrayDimension_"):
     label: str
     size: uint32
@@ -198,6 +207,7 @@ TYPES: dict[str, Any] = {
     "geometry_msgs/Twist": Twist,
     "geometry_msgs/WrenchStamped": WrenchStamped,
     "nav_msgs/Odometry": Odometry,
+    "sensor_msgs/CompressedImage": CompressedImage,
     "sensor_msgs/Image": Image,
     "sensor_msgs/Imu": Imu,
     "sensor_msgs/JointState": JointState,
@@ -206,3 +216,42 @@ TYPES: dict[str, Any] = {
     "std_msgs/Float64MultiArray": Float64MultiArray,
     "std_msgs/Header": Header,
 }
+
+
+# Messages of zeros
+
+
+def time_of(stamp: float) -> Time:
+    """A time in s as a ROS 2 time."""
+    nanoseconds = round(stamp * 1e9)
+    return Time(nanoseconds // 10**9, nanoseconds % 10**9)
+
+
+def _pose() -> Pose:
+    return Pose(Point(), Quaternion())
+
+
+def _twist() -> Twist:
+    return Twist(Vector3(), Vector3())
+
+
+_EMPTY: Mapping[str, Any] = {
+    "geometry_msgs/PoseStamped": lambda header: PoseStamped(header, _pose()),
+    "geometry_msgs/Twist": lambda _: _twist(),
+    "geometry_msgs/WrenchStamped": lambda header: WrenchStamped(header, Wrench(Vector3(), Vector3())),
+    "nav_msgs/Odometry": lambda header: Odometry(
+        header, "", PoseWithCovariance(_pose(), [0.0] * 36), TwistWithCovariance(_twist(), [0.0] * 36)
+    ),
+    "sensor_msgs/CompressedImage": lambda header: CompressedImage(header, "", []),
+    "sensor_msgs/Image": lambda header: Image(header, 0, 0, "", 0, 0, []),
+    "sensor_msgs/Imu": lambda header: Imu(header, Quaternion(), [0.0] * 9, Vector3(), [0.0] * 9, Vector3(), [0.0] * 9),
+    "sensor_msgs/JointState": lambda header: JointState(header, [], [], [], []),
+    "sensor_msgs/LaserScan": lambda header: LaserScan(header, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, [], []),
+    "sensor_msgs/Range": lambda header: Range(header, 0, 0.0, 0.0, 0.0, 0.0),
+    "std_msgs/Float64MultiArray": lambda _: Float64MultiArray(MultiArrayLayout([], 0), []),
+}
+
+
+def empty(type: str, stamp: float, frame: str) -> Any:
+    """A message of zeros; `stamp` is a time in s, and `frame` the `frame_id`, for messages with a header."""
+    return _EMPTY[type](Header(time_of(stamp), frame))

@@ -1,47 +1,49 @@
-"""Fields as ROS 2 messages over Cyclone DDS, without an installation of ROS.
-
-A topic `/cart/joint_states` of ROS 2 is the topic `rt/cart/joint_states` of DDS. Sensors are sent as ROS 2 sends sensor data: best
-effort, the last five messages; commands and resets arrive reliably. An image takes its time in this serializer: 640 x 480 pixels in
-color take 34 to 67 ms, 64 x 48 less than 1 ms.
-"""
+"""Fields as messages of ROS and back: the same for the messages of ROS 2 (`idl.py`) and those of ROS 1 (`ros1.py`)."""
 
 from __future__ import annotations
 
+import io
 import math
-from collections.abc import Mapping, Sequence
+import struct
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from deepbots_robot import idl
 from deepbots_robot.topics import Field, Topic, part_of, parts
 
+_COMPRESSED = "sensor_msgs/CompressedImage"
+_MODES = {1: "L", 3: "RGB"}
+Empty = Callable[[str, float, str], Any]
+"""Makes a message of zeros of a type, with a time in s and a frame."""
 _ENCODINGS = {1: "mono8", 3: "rgb8"}
 
 
 class Codec:
     """The messages of one topic: `encode` takes the values of its fields, and `decode` gives them back."""
 
-    def __init__(self, type: str, fields: Sequence[tuple[Field, Topic]]) -> None:
-        """All topics of `fields` have this type.
+    def __init__(self, type: str, fields: Sequence[tuple[Field, Topic]], empty: Empty) -> None:
+        """All topics of `fields` have this type; `empty` makes its messages.
 
         Raises:
             ValueError: A field does not fit the type.
         """
-        self.type = type
+        self.type, self._empty = type, empty
         self.fields = [field for field, _ in fields]
         self._parts = [parts(type)[part_of(field, topic)] for field, topic in fields]
         self.joints = tuple(dict.fromkeys(joint for field in self.fields for joint in field.joints))
 
     def encode(self, values: Mapping[str, Any], stamp: float) -> Any:
         """A message with the values of the fields by name; `stamp` is a time in s, for messages with a header."""
-        message = _EMPTY[self.type](_header(stamp, self.fields[0].robot))
+        message = self._empty(self.type, stamp, self.fields[0].robot)
         if self.type == "sensor_msgs/JointState":
             message.name = list(self.joints)
         for field, part in zip(self.fields, self._parts, strict=True):
             value = np.asarray(values[field.name])
             holder, name = _holder(message, part.path)
-            if part.picture:
+            if self.type == _COMPRESSED:
+                message.format, message.data = "png", _as_png(value.astype(np.uint8))
+            elif part.picture:
                 rows, columns, channels = field.shape
                 message.height, message.width, message.step = rows, columns, columns * channels
                 message.encoding = _ENCODINGS[channels]
@@ -60,7 +62,7 @@ class Codec:
             else:
                 setattr(holder, name, value.reshape(-1).astype(float).tolist())
             if field.scan is not None:
-                _set_scan(message, field)
+                _set_scan(message, self.type, field)
         return message
 
     def decode(self, message: Any) -> dict[str, np.ndarray[Any, Any]]:
@@ -74,6 +76,8 @@ class Codec:
     def _value(self, message: Any, field: Field, part: Any) -> np.ndarray[Any, Any]:
         holder, name = _holder(message, part.path)
         value = getattr(holder, name)
+        if self.type == _COMPRESSED:
+            return _decompressed(bytes(message.data), field)
         if part.picture:
             return _picture(message, field)
         if part.by_joint:
@@ -126,55 +130,49 @@ def _picture(message: Any, field: Field) -> np.ndarray[Any, Any]:
     return found[:, :, ::-1] if message.encoding == "bgr8" else found
 
 
-def _set_scan(message: Any, field: Field) -> None:
+def _as_png(picture: np.ndarray[Any, Any]) -> bytes:
+    """The bytes of a PNG, which is small but for noise, and has the values of the camera."""
+    from PIL import Image
+
+    content = io.BytesIO()
+    Image.fromarray(picture[:, :, 0] if picture.shape[2] == 1 else picture).save(content, "PNG", compress_level=1)
+    return content.getvalue()
+
+
+def _decompressed(content: bytes, field: Field) -> np.ndarray[Any, Any]:
+    """A PNG or JPEG; its size is read before its pixels."""
+    from PIL import Image
+
+    rows, columns, channels = field.shape
+    try:
+        with Image.open(io.BytesIO(content), formats=("PNG", "JPEG")) as picture:
+            if picture.size != (columns, rows):
+                raise ValueError(f"{field.name} has {picture.width} x {picture.height} pixels, and not {columns} x {rows}")
+            return np.asarray(picture.convert(_MODES[channels]), np.uint8).reshape(field.shape)
+    except (OSError, SyntaxError, ArithmeticError, LookupError, struct.error, Image.DecompressionBombError) as error:
+        raise ValueError(f"{field.name} is no PNG or JPEG that can be read") from error
+
+
+def _set_scan(message: Any, type: str, field: Field) -> None:
     first, last, reach = field.scan or (0.0, 0.0, 0.0)
-    if isinstance(message, idl.LaserScan):
+    if type == "sensor_msgs/LaserScan":
         message.angle_min, message.angle_max, message.range_max = first, last, reach
         message.angle_increment = (last - first) / max(1, field.count - 1)
-    elif isinstance(message, idl.Range):
+    elif type == "sensor_msgs/Range":
         message.max_range, message.radiation_type = reach, int(field.kind != "sonar")
-
-
-# Messages of zeros
-
-
-def _header(stamp: float, frame: str) -> idl.Header:
-    return idl.Header(time_of(stamp), frame)
-
-
-def time_of(stamp: float) -> idl.Time:
-    """A time in s as a ROS 2 time."""
-    nanoseconds = round(stamp * 1e9)
-    return idl.Time(nanoseconds // 10**9, nanoseconds % 10**9)
 
 
 def stamp_of(message: Any) -> float | None:
     """The time of a message in s; None where it has no header, or an empty stamp."""
-    header = message if isinstance(message, idl.Header) else getattr(message, "header", None)
+    header = message if hasattr(message, "frame_id") else getattr(message, "header", None)
     if header is None or (header.stamp.sec == 0 and header.stamp.nanosec == 0):
         return None
     return float(header.stamp.sec + header.stamp.nanosec * 1e-9)
 
 
-def _pose() -> idl.Pose:
-    return idl.Pose(idl.Point(), idl.Quaternion())
-
-
-def _twist() -> idl.Twist:
-    return idl.Twist(idl.Vector3(), idl.Vector3())
-
-
-_EMPTY: Mapping[str, Any] = {
-    "geometry_msgs/PoseStamped": lambda header: idl.PoseStamped(header, _pose()),
-    "geometry_msgs/Twist": lambda _: _twist(),
-    "geometry_msgs/WrenchStamped": lambda header: idl.WrenchStamped(header, idl.Wrench(idl.Vector3(), idl.Vector3())),
-    "nav_msgs/Odometry": lambda header: idl.Odometry(
-        header, "", idl.PoseWithCovariance(_pose(), [0.0] * 36), idl.TwistWithCovariance(_twist(), [0.0] * 36)
-    ),
-    "sensor_msgs/Image": lambda header: idl.Image(header, 0, 0, "", 0, 0, []),
-    "sensor_msgs/Imu": lambda header: idl.Imu(header, idl.Quaternion(), [0.0] * 9, idl.Vector3(), [0.0] * 9, idl.Vector3(), [0.0] * 9),
-    "sensor_msgs/JointState": lambda header: idl.JointState(header, [], [], [], []),
-    "sensor_msgs/LaserScan": lambda header: idl.LaserScan(header, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, [], []),
-    "sensor_msgs/Range": lambda header: idl.Range(header, 0, 0.0, 0.0, 0.0, 0.0),
-    "std_msgs/Float64MultiArray": lambda _: idl.Float64MultiArray(idl.MultiArrayLayout([], 0), []),
-}
+def by_topic(mapped: Sequence[tuple[Field, Topic]], empty: Empty) -> dict[str, Codec]:
+    """The codec of each topic."""
+    sharing: dict[str, list[tuple[Field, Topic]]] = {}
+    for field, topic in mapped:
+        sharing.setdefault(topic.name, []).append((field, topic))
+    return {name: Codec(entries[0][1].type, entries, empty) for name, entries in sharing.items()}

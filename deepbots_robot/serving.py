@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,6 +42,7 @@ class Transport:
     websocket: str | None = None
     interface: str | None = None
     domain: int = 0
+    ros1: bool = False
 
     @property
     def is_ros(self) -> bool:
@@ -48,7 +50,7 @@ class Transport:
 
     @classmethod
     def at(cls, address: str) -> Transport:
-        """The transport of an address: `ros`, `ros:3` of domain 3, `ros:3@eth0`, `tcp://HOST:PORT`, `ipc://FILE`, `ws://HOST:PORT`.
+        """The transport of an address: `ros1`, `ros`, `ros:3` of domain 3, `ros:3@eth0`, `tcp://HOST:PORT`, `ipc://FILE`, `ws://HOST:PORT`.
 
         Raises:
             ServeError: It is none of these.
@@ -56,12 +58,14 @@ class Transport:
         ros = re.fullmatch(r"ros(?::([0-9]{1,3}))?(?:@(.{1,32}))?", address)
         if ros:
             return cls(interface=ros[2], domain=int(ros[1] or 0))
+        if address == "ros1":
+            return cls(ros1=True)
         if address.startswith("ws://"):
             return cls(websocket=address.removeprefix("ws://").removesuffix("/"))
         if address.startswith(("tcp://", "ipc://")):
             return cls(zmq=address)
         raise ServeError(
-            f"'{address[:100]}' is no address of a robot; write ros, ros:DOMAIN, tcp://HOST:PORT, ipc://FILE or ws://HOST:PORT"
+            f"'{address[:100]}' is no address of a robot; write ros, ros:DOMAIN, ros1, tcp://HOST:PORT, ipc://FILE or ws://HOST:PORT"
         )
 
     def open(
@@ -77,6 +81,14 @@ class Transport:
         Raises:
             ServeError: The package of the link is missing, or the address, the interface or a topic cannot be used.
         """
+        if (
+            self.is_ros
+            and any(topic.type == "sensor_msgs/CompressedImage" for _, topic in (*receives, *sends))
+            and find_spec("PIL") is None
+        ):
+            raise ServeError("pillow, which reads compressed images, is not installed; install it with: pip install pillow")
+        if self.ros1:
+            return self._ros1(receives, sends, robot=robot, about=about)
         package = "pyzmq" if self.zmq is not None else "websockets" if self.websocket is not None else "cyclonedds"
         fields = [field for field, _ in receives], [field for field, _ in sends]
         try:
@@ -93,6 +105,20 @@ class Transport:
             return RosLink(receives, sends, robot=robot, interface=self.interface, domain=self.domain, about=about)
         except ModuleNotFoundError as error:
             raise ServeError(f"{package} is not installed, or lacks {error.name}; install it with: pip install {package}") from None
+        except ValueError as error:
+            raise ServeError(str(error)) from None
+
+    @staticmethod
+    def _ros1(receives: Sequence[tuple[Field, Topic]], sends: Sequence[tuple[Field, Topic]], **ends: Any) -> Link:
+        try:
+            from deepbots_robot.ros1 import Ros1Link
+
+            return Ros1Link(receives, sends, **ends)
+        except ModuleNotFoundError as error:
+            raise ServeError(
+                f"{error.name} is not installed for this Python; rospy belongs to the Python of the system (Debian: apt install ros-core"
+                " python3-sensor-msgs python3-nav-msgs), which an environment of `/usr/bin/python3 -m venv --system-site-packages` has too"
+            ) from None
         except ValueError as error:
             raise ServeError(str(error)) from None
 

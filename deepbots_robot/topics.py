@@ -97,6 +97,7 @@ PARTS: Mapping[str, Mapping[str, Part]] = {
         "linear_acceleration": Part("linear_acceleration", ("m/s^2",), 3),
     },
     "sensor_msgs/Image": {"data": Part("data", picture=True)},
+    "sensor_msgs/CompressedImage": {"data": Part("data", picture=True)},
     "geometry_msgs/Twist": {"linear": Part("linear", ("m/s",), 3), "angular": Part("angular", ("rad/s",), 3)},
     "geometry_msgs/PoseStamped": {"position": Part("pose.position", ("m",), 3), "orientation": Part("pose.orientation", ("1",), 4)},
     "geometry_msgs/WrenchStamped": {"force": Part("wrench.force", ("N",), 3), "torque": Part("wrench.torque", ("N*m",), 3)},

@@ -16,6 +16,7 @@ html_title = "deepbots"
 html_static_path = ["theme/static"]
 html_css_files = ["site.css"]
 html_js_files = [("gallery.js", {"defer": "defer"})]
+html_search_scorer = str(Path(__file__).parent / "theme" / "scorer.js")
 html_copy_source = False
 html_use_index = False
 html_domain_indices = False

@@ -11,7 +11,7 @@ returns.py     what the terms of the reward pay in a step and at an end, and the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from functools import cached_property
 from typing import cast
 from weakref import proxy
@@ -359,14 +359,20 @@ def unobserved_reads(program: Program, script: str) -> list[str]:
     """
     analysis, agent = Analysis(program).ideal, program.agent
 
-    def sources(trees: Iterable[Scalar]) -> set[int]:
+    def source(node: Name | EngineRead) -> Hashable:
+        """The same for all components of an orientation: the sine or cosine of a heading makes it known."""
+        if isinstance(node, EngineRead) and node.function == "orientation":
+            return node.subjects
+        return analysis.identity(node)
+
+    def sources(trees: Iterable[Scalar]) -> set[Hashable]:
         nodes = (node for tree in trees for node in analysis.walk_definitions(tree))
-        return {analysis.identity(node) for node in nodes if isinstance(node, (Name, EngineRead))}
+        return {source(node) for node in nodes if isinstance(node, (Name, EngineRead))}
 
     goal = () if agent.goal is None else (agent.goal.achieved, agent.goal.desired)
     numbers = [tree for value in (*(entry.value for entry in agent.observation), *goal) for tree in analysis.scalars(value)]
     whole = {analysis.identity(tree) for tree in numbers}
-    seen, unsolved = set[int](), [sources([tree]) for tree in numbers]
+    seen, unsolved = set[Hashable](), [sources([tree]) for tree in numbers]
     while solved := [read for read in unsolved if len(read - seen) <= 1]:
         seen.update(*solved)
         unsolved = [read for read in unsolved if not read <= seen]

@@ -80,15 +80,22 @@ def interval_text(interval: tuple[Any, Any] | None, form: Callable[[Any], str] =
     return "" if interval is None else " .. ".join(dict.fromkeys(map(form, interval)))
 
 
-def with_interval(value: float, interval: Interval | None, form: Callable[[float], str] = number, of: str = "") -> str:
-    """A statistic and its interval, `of` says what the interval follows from."""
-    return form(value) + ("" if interval is None else f" (95 %{of}: {form(interval[0])} .. {form(interval[1])})")
+def with_interval(value: float, interval: Interval | None, form: Callable[[float], str] = number, remark: str = "") -> str:
+    """A statistic and its interval, with a remark behind the interval."""
+    return form(value) + ("" if interval is None else f" (95 %: {form(interval[0])} .. {form(interval[1])}{remark})")
+
+
+def success_or_return(result: EvaluationResult) -> str:
+    """The success rate with its interval; where the scenario defines no success, the mean return."""
+    if result.success_defined:
+        return f"success rate {with_interval(result.success_rate, result.success_interval, percent)}"
+    return f"mean return {with_interval(result.mean_return, result.return_interval)}"
 
 
 def _statistics(result: Summary, *, success_defined: bool) -> Row:
-    of = ", from the possible returns" if result.std_return == 0 else ""
+    remark = "; all returns are equal" if result.std_return == 0 else ""
     return {
-        "mean return": with_interval(result.mean_return, result.return_interval, of=of),
+        "mean return": with_interval(result.mean_return, result.return_interval, remark=remark),
         "standard deviation": None if result.std_return is None else number(result.std_return),
         "interquartile mean": number(result.interquartile_mean) if result.episodes > 1 else "",
         "minimum, maximum": f"{number(result.least_return)}, {number(result.greatest_return)}",
@@ -120,7 +127,9 @@ def training_text(result: TrainingResult) -> str:
     at = result.solved_at
     if at is not None:
         took = f"{at.simulated_hours:.3f} simulated h, {at.cpu_seconds:.1f} s of CPU time"
-        rows["solved"] = f"in training episode {at.episode:,}, after {took}"
+        # A teacher's pupil may be solved by an evaluation while exploration spoils its own episodes.
+        evaluated = at.steps == result.steps and at.mean_return != result.mean_return
+        rows["solved"] = f"{'by an evaluation after' if evaluated else 'in'} training episode {at.episode:,}, after {took}"
     rows["stopped by"] = result.stopped_by and f"the callback {result.stopped_by}"
     rows["initialized from"] = result.initialized_from
     lines = [f"training {result.status}", row_as_lines(rows), *(f"note: {reason}" for reason in result.inexact)]

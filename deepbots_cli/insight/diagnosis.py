@@ -573,7 +573,7 @@ def exploration_collapsed(t: TrainingEvidence) -> Numbers | None:
     Try: {remedy}.
     """
     rate, more = t.number_setting("learning_rate"), _exploration_changes(t, 10.0)
-    slower = [Change("train.learning_rate", f"{rate:g}", f"{rate / 3:.1g}", "lower")] if rate is not None else []
+    slower = [] if rate is None else [Change("train.learning_rate", f"{rate:g}", f"{min(rate / 3, _usual_rate(t)):.1g}", "lower")]
     remedy = _sentence(" or ".join(map(str, [*more, *slower])) or "raise the noise of the algorithm")
     settings = _settings(more or slower)
     sigma = getattr(getattr(t.settings.get("action_noise"), "sigma", None), "start", None)

@@ -26,6 +26,7 @@ from deepbots_cli.document import Document, MappingNode, Permissions
 from deepbots_cli.document.nodes import entries_at
 from deepbots_cli.errors import DeepbotsError, EvaluationError, UsageError
 from deepbots_cli.insight.conditions import InstrumentedProgram, instrument_program
+from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
 from deepbots_cli.learning.robustness import (
     MASS_FACTORS,
@@ -42,6 +43,7 @@ from deepbots_cli.learning.robustness import (
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.learning.spread import ONE_BY_ONE, Spread
 from deepbots_cli.program import Program
+from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import sequence_driver
 from deepbots_cli.rollout.source import Source
@@ -508,6 +510,9 @@ class Transfer:
         comparison: What differs between the worlds.
         robustness: The policy under changed conditions; None if they were left out.
         gates: The requirements; empty if no success rate is required.
+        works: Whether the policy works in each of the two worlds: it meets the requirements, or else `solved` of the scenario. None where
+            neither is given.
+        required: What working means, in words; empty where nothing is given.
     """
 
     run: Path
@@ -517,6 +522,8 @@ class Transfer:
     comparison: WorldComparison
     robustness: Robustness | None
     gates: tuple[Gate, ...]
+    works: tuple[bool | None, bool | None]
+    required: str
 
     @property
     def passed(self) -> bool:
@@ -580,4 +587,18 @@ def transfer(
         if min_return is not None:
             met = result.mean_return >= min_return
             gates.append(Gate(f"{name}: mean return {result.mean_return:.4g} of at least {min_return:g}", met))
-    return Transfer(run.path, names, here, there, comparison, robustness, tuple(gates))
+    works, required = _works(names, (here, there), gates, known.program.agent.solved)
+    return Transfer(run.path, names, here, there, comparison, robustness, tuple(gates), works, required)
+
+
+def _works(
+    names: tuple[str, str], results: tuple[EvaluationResult, EvaluationResult], gates: Sequence[Gate], solved: Solved | None
+) -> tuple[tuple[bool | None, bool | None], str]:
+    """Whether the policy works in each of two worlds, and what that means."""
+    if gates:
+        one, other = (all(gate.met for gate in gates if gate.text.startswith(f"{name}: ")) for name in names)
+        return (one, other), "the given requirements"
+    if solved is None:
+        return (None, None), ""
+    one, other = (meets_solved(solved, result.mean_return, result.success_rate) for result in results)
+    return (one, other), f"`solved` of the scenario ({solved.description})"

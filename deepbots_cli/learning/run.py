@@ -367,9 +367,8 @@ class EvaluationRecord(BaseModel):
         """Mean return and success rate with their intervals, and what they are of."""
         text = f"mean return {self.mean_return:.4g}"
         if self.return_interval is not None:
-            equal = self.std_return == 0
-            text += " in every episode" * equal
-            text += f" (95 % interval{', from the possible returns:' * equal} {{:.4g}} .. {{:.4g}})".format(*self.return_interval)
+            equal = "; all returns are equal" * (self.std_return == 0)
+            text += f" (95 % interval {{:.4g}} .. {{:.4g}}{equal})".format(*self.return_interval)
         if self.success_rate is not None and self.success_interval is not None:
             text += f", success rate {self.success_rate:.1%} (95 % interval {{:.1%}} .. {{:.1%}})".format(*self.success_interval)
         return f"{text}, over {self.episodes:,} held-out episodes from seed {self.seed}{in_parentheses(self.remarks)}"

@@ -7,6 +7,7 @@ import platform
 import shutil
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing, nullcontext, suppress
 from dataclasses import dataclass, replace
@@ -466,8 +467,9 @@ def _check_teacher(teacher: Teacher, program: Program, stage: str | None, build:
         if any(episode.is_success for episode in played):
             return
     found = f"the teacher `{teacher.script}` succeeds in none of {len(played)} episodes"
-    found += f" (mean return {Summary.of_episodes(played).mean_return:.3g})"
-    raise UsageError(f"{found}; try it with: deepbots try SCENARIO --driver {teacher.script}")
+    ends = ", ".join(f"{name} {count}" for name, count in Counter(episode.ended_by for episode in played).most_common())
+    found += f" (mean return {Summary.of_episodes(played).mean_return:.3g}, ended by {ends})"
+    raise UsageError(f"{found}; look at what it does: deepbots view SCENARIO --driver {teacher.script}")
 
 
 def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoints) -> DeepbotsError:

@@ -23,6 +23,7 @@ POSTURE, TIMES = "posture: 0 policy, 1 safe", "ages and answer time (ms)"
 """What is always plotted of a log."""
 _SAFE = "safe"
 _MAX_PLACE = 1e6  # m or rad, of what is drawn
+_MAX_NUMBERS = 2048  # of an input that is plotted
 
 Values = Mapping[str, Sequence[float]]
 
@@ -57,7 +58,7 @@ class LogPlayer(ReplayPlayer):
     def _reader(self) -> FrameReader:
         reader, info = super()._reader(), self.log.info
         every = [step for episode in self.log.episodes for step in episode.steps]
-        self._inputs = list(_columns([entry for entry in info.inputs if entry.dtype != "uint8"], [step.inputs for step in every]))
+        self._inputs = list(_columns(info.inputs, [step.inputs for step in every]))
         self._commands = list(_columns(info.outputs, [step.commands for step in every]))
         self._aged = [entry.name for entry in info.inputs if entry.max_age_s is not None]
         longest = 1e3 * max((age for step in every for age in (step.answer, *step.ages.values()) if math.isfinite(age)), default=0.0)
@@ -181,8 +182,10 @@ class LogPlayer(ReplayPlayer):
 
 
 def _columns(entries: Sequence[Input | Output], rows: Sequence[Values]) -> Iterator[_Column]:
-    """The numbers of inputs or outputs, each with its range, or that of its values where it has none."""
+    """The numbers of inputs or outputs but for pictures, each with its range, or that of its values where it has none."""
     for entry in entries:
+        if len(entry.shape) > 1 or entry.shape[0] > _MAX_NUMBERS:
+            continue
         names = entry.components or entry.joints or [str(place) for place in range(entry.shape[0])]
         for place in range(entry.shape[0]):
             name = f"{entry.name}.{names[place]}" if entry.shape[0] > 1 and place < len(names) else entry.name

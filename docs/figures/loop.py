@@ -5,7 +5,7 @@ from __future__ import annotations
 from deepbots_cli import api
 from figures.drawing import Drawing
 
-LEFT, WIDTH, HEIGHT = 30.0, 320.0, 62.0
+LEFT, WIDTH, HEIGHT = 4.0, 332.0, 62.0
 ABOVE, BELOW = 12.0, 180.0
 
 
@@ -15,7 +15,7 @@ def draw() -> str:
     (drive,) = program.agent.action
     (term,) = program.agent.reward
     drawing = Drawing(
-        380, 286, "The policy chooses an action from the observation; the world answers with a reward and the next observation"
+        340, 280, "The policy chooses an action from the observation; the world answers with a reward and the next observation"
     )
     middle = LEFT + WIDTH / 2
     for top, color, name, what in ((ABOVE, "blue", "policy", "a neural network"), (BELOW, "green", "world", "cart, pole and physics")):

@@ -181,6 +181,25 @@ def test_links_and_anchors_of_the_built_site_lead_somewhere(built_site: Path) ->
     assert broken == []
 
 
+SEARCHES = {
+    "own robot": "Your own robot",
+    "own urdf": "Your own robot",
+    "import urdf": "Your own robot",
+    "custom robot": "Your own robot",
+    "sensor noise": "Sensors",
+    "noise on a sensor": "Sensors",
+    "noisy sensor": "Sensors",
+    "training does not learn": "A training that does not learn",
+    "policy not improving": "A training that does not learn",
+    "return does not rise": "A training that does not learn",
+    "passive joint": "Robots",
+    "door hinge": "Robots",
+    "pendulum without motor": "Robots",
+    "domain randomization": "Glossary",
+}
+"""What a reader types, and the title of a page that is among the first three results."""
+
+
 @pytest.mark.browser
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
@@ -209,8 +228,11 @@ def test_a_browser_filters_the_gallery_finds_words_and_fits_pages_to_a_phone(bui
             tab.call("Page.navigate", url=(built_site / f"{name}.html").as_uri())
             tab.wait(f"location.pathname.endsWith('/{name}.html') && document.readyState == 'complete'")
             assert tab.run("document.documentElement.scrollWidth") <= 380, name
-        tab.call("Page.navigate", url=f"{(built_site / 'search.html').as_uri()}?q=domain+randomization")
-        assert "Glossary" in tab.wait("document.querySelector('#search-results li') && document.querySelector('#search-results').innerText")
+        found = "[...document.querySelectorAll('#search-results ul.search > li > a')].map(link => link.innerText)"
+        for query, page in SEARCHES.items():
+            tab.call("Page.navigate", url=f"{(built_site / 'search.html').as_uri()}?q={query.replace(' ', '+')}")
+            tab.wait("location.search && document.querySelector('#search-results p.search-summary')?.innerText.includes('found')")
+            assert any(title.startswith(page) for title in tab.run(found)[:3]), (query, tab.run(found)[:5])
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The tutorials, done word by word in an empty folder: their files are written, their edits made, and their commands print what the page shows."""
+"""The tutorials, done word by word in an empty folder: files are written, edits are made, and commands print what the page shows."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ def test_the_page_shows_the_result_of_the_run_and_loads_nothing(run, written):
     text = written[0].read_text(encoding="utf-8")
     kept = json.loads((run / "evaluations" / "0001.json").read_text())
     low, high = kept["return_interval"]
-    shown = f"mean return {kept['mean_return']:.4g} in every episode (95 % interval, from the possible returns: {low:.4g} .. {high:.4g})"
+    shown = f"mean return {kept['mean_return']:.4g} (95 % interval {low:.4g} .. {high:.4g}; all returns are equal)"
     assert shown in text
     assert set(re.findall(r'(?:src|srcset|href)="([a-z]+:)', text)) == {"data:"}
     assert not re.search(r"<script|https?://", text.lower())

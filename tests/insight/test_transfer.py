@@ -12,10 +12,11 @@ import yaml
 
 from deepbots_cli import api
 from deepbots_cli.cli import main
-from deepbots_cli.insight.transfer import World, WorldComparison, compare_worlds
+from deepbots_cli.insight.transfer import Gate, World, WorldComparison, _works, compare_worlds
 from deepbots_cli.learning import train
 from deepbots_cli.learning.robustness import base_document, changed_scenario
 from deepbots_cli.learning.run import Run
+from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.source import Source
 from tests.few import few
 
@@ -126,6 +127,23 @@ def test_the_command_compares_engines_and_is_a_gate(run_of: Any, capsys: pytest.
     assert [world["name"] for world in found["worlds"]] == ["pybullet", "mujoco"]
     assert {each["name"] for each in found["differences"]} >= {"cart.pole_angle", "x"}
     assert main(["transfer", path, "--quick", "--episodes", "2", "--min-return", "200"]) == 1
-    assert "failed: pybullet: mean return" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert re.match(r"works neither in pybullet nor in mujoco: mean return \S+ \(95 %: .*\) in pybullet, mean return", shown)
+    assert "failed: pybullet: mean return" in shown
+    assert "the changes are alternatives" in shown
     assert main(["transfer", path, "--quick", "--engine", "pybullet"]) == 2
     assert "was trained in pybullet; name the other engine" in capsys.readouterr().err
+
+
+def test_whether_a_policy_works_follows_from_the_requirements_or_from_solved() -> None:
+    from types import SimpleNamespace as Result
+
+    names: Any = ("here", "there")
+    results: Any = (Result(mean_return=200.0, success_rate=0.9), Result(mean_return=80.0, success_rate=0.9))
+    gates = [Gate("here: success rate", True), Gate("there: success rate", False), Gate("there: mean return", True)]
+    assert _works(names, results, gates, None)[0] == (True, False)
+    assert _works(names, results, [], Solved(100, 195.0, None)) == (
+        (True, False),
+        "`solved` of the scenario (mean return 195 over 100 episodes)",
+    )
+    assert _works(names, results, [], None) == ((None, None), "")

@@ -22,7 +22,7 @@ from deepbots_cli import api
 from deepbots_cli.analysis import unobserved_reads
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import evaluate, resume, train
-from deepbots_cli.learning.callbacks import CONFIRMATION_EPISODES
+from deepbots_cli.learning.callbacks import TAUGHT_EPISODES
 from deepbots_cli.learning.listing import read_listed
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.sb3.imitation import keep_labels, labeled
@@ -126,7 +126,7 @@ def test_with_a_teacher_only_an_evaluation_of_many_episodes_ends_a_training(tmp_
     changes = [*BALANCER, "train.teacher={script: lean, share: 0.5}", "solved=mean_return >= 20 over 10 episodes"]
     train(api.compile("balancer", overrides=changes), run=tmp_path / "run", total_timesteps=4_000)
     *_, last = (tmp_path / "run/evaluations/training.jsonl").read_text().splitlines()
-    assert len(json.loads(last)["returns"]) == CONFIRMATION_EPISODES
+    assert len(json.loads(last)["returns"]) == TAUGHT_EPISODES
 
 
 def test_labels_in_a_replay_buffer_apply_to_the_goal_of_their_episode_only() -> None:
@@ -173,9 +173,19 @@ def test_a_speed_along_a_heading_shows_no_heading() -> None:
     assert unobserved_reads(api.compile("find_ball", overrides=changes).program, "turn") == ["yaw(epuck)"]
 
 
+def test_the_cosine_and_sine_of_a_heading_show_it() -> None:
+    changes = [
+        "augment={east: cos(yaw(roller)), north: sin(yaw(roller))}",
+        "observation.east=-1 .. 1",
+        "observation.north=-1 .. 1",
+        "scripts.turn.roll={forward: yaw(roller) > 1 rad, backward: true}",
+    ]
+    assert unobserved_reads(api.compile("pit_escape", overrides=changes).program, "turn") == []
+
+
 def test_a_teacher_that_never_succeeds_is_refused(tmp_path: Path) -> None:
     compiled = api.compile("pit_escape", overrides=["train.teacher=forward_only", "truncation.max_time=2s"])
-    with pytest.raises(UsageError, match="the teacher `forward_only` succeeds in none of 20 episodes"):
+    with pytest.raises(UsageError, match=r"the teacher `forward_only` succeeds in none of 20 episodes \(mean return .*, ended by \w+ 20\)"):
         train(compiled, run=tmp_path / "run", total_timesteps=1000)
 
 

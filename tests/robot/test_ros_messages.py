@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from dataclasses import fields
 from typing import Any, get_args
@@ -115,7 +116,7 @@ def test_fields_come_back_from_the_bytes_of_their_messages() -> None:
     for field in FIELDS:
         by_topic.setdefault(mapping[field.name].name, []).append((field, mapping[field.name]))
     for sharing in by_topic.values():
-        codec = ros.Codec(sharing[0][1].type, sharing)
+        codec = ros.Codec(sharing[0][1].type, sharing, idl.empty)
         message = codec.encode(values, 12.25)
         again = idl.TYPES[codec.type].deserialize(message.serialize(use_version_2=False))
         assert ros.stamp_of(again) in (12.25, None)
@@ -123,8 +124,32 @@ def test_fields_come_back_from_the_bytes_of_their_messages() -> None:
             np.testing.assert_array_equal(value, values[name])
 
 
+@pytest.mark.parametrize("shape", [(48, 64, 3), (48, 64, 1)])
+def test_a_compressed_image_comes_back_and_what_is_none_is_refused(shape: tuple[int, int, int]) -> None:
+    image = pytest.importorskip("PIL.Image")
+    field = Field("dog.eye", "dog", "camera", "1", shape)
+    codec = ros.Codec("sensor_msgs/CompressedImage", [(field, Topic("/s", "sensor_msgs/CompressedImage"))], idl.empty)
+    value = np.linspace(0, 255, field.count).reshape(shape).astype(np.uint8)
+    message = codec.encode({"dog.eye": value}, 1.0)
+    again = idl.CompressedImage.deserialize(message.serialize(use_version_2=False))
+    np.testing.assert_array_equal(codec.decode(again)["dog.eye"], value)
+    content = io.BytesIO()
+    image.fromarray(value.squeeze()).save(content, "JPEG", quality=95)
+    message.data = content.getvalue()
+    assert np.abs(codec.decode(message)["dog.eye"].astype(int) - value).max() < 40
+    for wrong in (b"", message.data[:100], message.data[: len(message.data) // 2], b"GIF89a" + bytes(50)):
+        message.data = wrong
+        with pytest.raises(ValueError, match=r"dog.eye is no PNG or JPEG that can be read"):
+            codec.decode(message)
+    content = io.BytesIO()
+    image.new("L", (9000, 9000)).save(content, "PNG")
+    message.data = content.getvalue()
+    with pytest.raises(ValueError, match=r"dog.eye has 9000 x 9000 pixels, and not 64 x 48"):
+        codec.decode(message)
+
+
 def test_joints_are_found_by_name_in_any_order() -> None:
-    codec = ros.Codec("sensor_msgs/JointState", [(FIELDS[0], Topic("/s", "sensor_msgs/JointState"))])
+    codec = ros.Codec("sensor_msgs/JointState", [(FIELDS[0], Topic("/s", "sensor_msgs/JointState"))], idl.empty)
     message = idl.JointState(idl.Header(idl.Time()), ["c", "z", "a", "b"], [3.0, 9.0, 1.0, 2.0], [], [])
     assert codec.decode(message)["dog.q"].tolist() == [1.0, 2.0, 3.0]
     message.name[0] = "wheel"
@@ -133,7 +158,7 @@ def test_joints_are_found_by_name_in_any_order() -> None:
 
 
 def test_a_free_ray_is_as_far_as_the_scanner_sees() -> None:
-    codec = ros.Codec("sensor_msgs/LaserScan", [(FIELDS[4], Topic("/s", "sensor_msgs/LaserScan"))])
+    codec = ros.Codec("sensor_msgs/LaserScan", [(FIELDS[4], Topic("/s", "sensor_msgs/LaserScan"))], idl.empty)
     message = codec.encode({"dog.scan": [1.0, 2.0, 3.0, math.inf, 1.0]}, 1.0)
     assert codec.decode(message)["dog.scan"].tolist() == [1.0, 2.0, 3.0, 3.0, 1.0]
 
@@ -162,7 +187,7 @@ def test_what_does_not_fit_is_refused_with_its_units(field: Field, topic: Topic,
 
 def test_each_part_has_its_attribute() -> None:
     for type, known in PARTS.items():
-        message = ros._EMPTY[type](idl.Header(idl.Time()))
+        message = idl.empty(type, 0.0, "")
         for part in known.values():
             holder, name = ros._holder(message, part.path)
             assert hasattr(holder, name)

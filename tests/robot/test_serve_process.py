@@ -84,7 +84,9 @@ def test_a_killed_robot_ends_in_the_safe_posture_and_a_killed_server_leaves_a_lo
         server.wait(10)
     found = list(read_log(log))
     assert killed - found[-1][1] <= 1.0
-    assert found[-1][2] == {"inputs": {}, "commands": {"cart.wheels": [0.0] * 4}, "answer": 0.0, "posture": "safe"}
+    last = found[-1][2]
+    assert {**last, "ages": {}} == {"inputs": {}, "ages": {}, "commands": {"cart.wheels": [0.0] * 4}, "answer": 0.0, "posture": "safe"}
+    assert min(last["ages"].values()) > 0.096  # beyond the age limit
     assert any(content["kind"] == "safe" and "no new value" in content["text"] for topic, _, content in found if topic == "/event")
 
 
@@ -125,3 +127,9 @@ def test_what_cannot_be_served_is_said_in_a_sentence(
     assert said in told
     assert "Traceback" not in told
     assert os.listdir(tmp_path) == []
+
+
+def test_a_simulated_robot_needs_no_torch() -> None:
+    code = "import sys, deepbots_cli.insight.robot, deepbots_cli.insight.real_robot; print('torch' in sys.modules)"
+    with running("-c", code) as process:
+        assert process.communicate(timeout=60)[0] == "False\n"

@@ -103,7 +103,7 @@ def test_a_robot_that_falls_silent_ends_the_episode(tmp_path: Path) -> None:
     ("words", "said"),
     [
         (["--robot", "tcp://127.0.0.1:58751"], "--robot needs --driver NAME"),
-        (["--robot", "5555", "--driver", "zero"], "'5555' is no address of a robot; write ros, ros:DOMAIN, tcp://HOST:PORT"),
+        (["--robot", "5555", "--driver", "zero"], "'5555' is no address of a robot; write ros, ros:DOMAIN, ros1, tcp://HOST:PORT"),
         (["--robot", "ros:999", "--driver", "zero"], "the domain 999 does not exist"),
         (["--robot", "ws://127.0.0.1:99999", "--driver", "zero"], "is no port"),
         (["--robot", "tcp://127.0.0.1:58751", "--driver", "zer"], "there is no driver 'zer' (did you mean zero?)"),

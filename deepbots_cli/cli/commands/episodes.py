@@ -76,7 +76,7 @@ def command(
         str | None,
         option(
             "--robot ADDRESS",
-            "Act for the robot at an address in place of the simulated one: ros, ros:DOMAIN, tcp://HOST:PORT, ipc://FILE or ws://HOST:PORT.",
+            "Act for the robot at an address in place of the simulated one: ros, ros:DOMAIN, ros1, tcp://HOST:PORT, ipc://FILE or ws://HOST:PORT.",
             ROBOT,
         ),
     ] = None,

@@ -29,6 +29,7 @@ def command(
     ],
     as_robot: Annotated[bool, option("--as-robot", "Simulate the robot of a scenario: send its sensors and obey commands.")] = False,
     ros: Annotated[bool, option("--ros", "Use ROS 2 topics, by Cyclone DDS; this is the default.", _LINK)] = False,
+    ros1: Annotated[bool, option("--ros1", "Use ROS 1 topics, by rospy, at the master of ROS_MASTER_URI.", _LINK)] = False,
     zmq: Annotated[
         str | None, option("--zmq ADDRESS", "Use ZeroMQ at an address such as tcp://127.0.0.1:5555; the policy binds it.", _LINK)
     ] = None,
@@ -59,10 +60,10 @@ def command(
 ) -> None:
     """Let a policy act for a robot, or simulate the robot.
 
-    The policy gets what sensors measure over ROS 2, ZeroMQ or WebSocket and answers with commands, both in SI units, at the rate of the
-    bundle. Every message is checked: layout, finite numbers, range, age and order. Commands are kept within the limits of the actuators.
-    On silence, and after a wrong message, the robot gets the safe posture of the bundle. At the end there is a table of answer times and
-    refused messages.
+    The policy gets what sensors measure over ROS 2, ROS 1, ZeroMQ or WebSocket and answers with commands, both in SI units, at the rate of
+    the bundle. Every message is checked: layout, finite numbers, range, age and order. Commands are kept within the limits of the
+    actuators. On silence, and after a wrong message, the robot gets the safe posture of the bundle. At the end there is a table of answer
+    times and refused messages.
     `python -m deepbots_robot BUNDLE` does the same where deepbots is not installed.
 
     With --as-robot, a simulation of the scenario is the robot: it sends its sensors and obeys commands in real time, episode after
@@ -77,7 +78,7 @@ def command(
 
     Next: Ctrl-C ends both.
     """
-    links = [name for name, given in (("--ros", ros), ("--zmq", zmq), ("--websocket", websocket)) if given]
+    links = [name for name, given in (("--ros", ros), ("--ros1", ros1), ("--zmq", zmq), ("--websocket", websocket)) if given]
     if len(links) > 1:
         raise UsageError(f"{' and '.join(links)} are different links; choose one")
     if links not in ([], ["--ros"]) and (interface is not None or domain):
@@ -88,7 +89,7 @@ def command(
         from deepbots_robot.serving import Transport
     except ModuleNotFoundError as error:
         raise MissingExtraError("robot", "serving a policy") from error
-    transport = Transport(zmq, websocket, interface, domain)
+    transport = Transport(zmq, websocket, interface, domain, ros1)
     if not as_robot:
         if episodes is not None or seed or overrides or engine or permissions != Permissions():
             raise UsageError(

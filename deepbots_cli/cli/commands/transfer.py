@@ -53,10 +53,12 @@ def command(
 ) -> None:
     """Check that a policy works in another engine or world.
 
-    The policy is evaluated on the same held-out starts in the world of its training and in the other one. Then the other world repeats
-    episodes of the first one, with the same starts and actions. The table shows which numbers of the observation and which reward terms
-    differ, and from which step on. Below it are changes of the first world that explain the difference: a wrong sign, unit or order, a
-    latency, a mass, a friction or a weaker motor. Finally, the policy is evaluated under changed conditions, as by `deepbots robustness`.
+    The policy is evaluated on the same held-out starts in the world of its training and in the other one. The first line says whether it
+    works in both: it reaches --min-success and --min-return, or else `solved` of the scenario. Then the other world repeats episodes of
+    the first one, with the same starts and actions. The table shows which numbers of the observation and which reward terms differ, and
+    from which step on. Below it are changes of the first world that explain the difference: a wrong sign, unit or order, a latency, a
+    mass, a friction or a weaker motor. They are alternatives, whose shares do not add up. Finally, the policy is evaluated under changed
+    conditions, as by `deepbots robustness`.
 
     With --min-success or --min-return, the exit code is 1 if the policy misses it in one of the two worlds, or at the first level of one
     of the conditions.
@@ -143,7 +145,10 @@ def _other_engine(name: str) -> str:
 
 def _lines(found: Transfer) -> list[str]:
     here, there = found.names
-    lines = [f"transfer of {found.run}: from {here} to {there}, {found.here.episodes} held-out starts from seed {found.here.seed}"]
+    lines = [
+        _verdict(found),
+        f"\ntransfer of {found.run}: from {here} to {there}, {found.here.episodes} held-out starts from seed {found.here.seed}",
+    ]
     worlds = ((here, found.here), (there, found.there))
     lines.append(table([{"world": name, **records.scores(result)} for name, result in worlds]))
     compared = found.comparison
@@ -170,6 +175,8 @@ def _lines(found: Transfer) -> list[str]:
     if compared.causes:
         lines.append(f"\nchanges of {here} that explain the difference")
         lines.append(table([{"change": cause.text, "explains": percent(cause.explained)} for cause in compared.causes[:5]]))
+        lines.append("explains: share of the squared differences that vanishes with this change alone; the changes are alternatives, whose")
+        lines.append("shares do not add up")
     elif compared.differences:
         lines.append("\nno change that was tried explains it: order, sign, unit and age of numbers, order and sign of actions, latencies,")
         lines.append("weaker motors, and one mass (with its inertia) or friction at a time, x 0.5 to 2")
@@ -177,6 +184,23 @@ def _lines(found: Transfer) -> list[str]:
         lines += ["", records.robustness_text(found.robustness)]
     lines += [f"{'passed' if each.met else 'failed'}: {each.text}" for each in found.gates]
     return lines
+
+
+def _verdict(found: Transfer) -> str:
+    """In a line, whether the policy works in both worlds, and how often it succeeds."""
+    one, other = found.works
+    here, there = found.names
+    measured = [records.success_or_return(result) for result in (found.here, found.there)]
+    shown = f"{measured[0]} in {here}, {measured[1]} in {there}"
+    if one is None or other is None:
+        return f"{shown}; whether it works is not defined: add --min-success RATE, or `solved` to the scenario"
+    if one and other:
+        said = "works in both worlds"
+    elif one or other:
+        said = f"works in {here if one else there}, but not in {there if one else here}"
+    else:
+        said = f"works neither in {here} nor in {there}"
+    return f"{said}: {shown} (required: {found.required})"
 
 
 def _data(found: Transfer) -> dict[str, Any]:
@@ -187,5 +211,6 @@ def _data(found: Transfer) -> dict[str, Any]:
         "causes": [each._asdict() for each in found.comparison.causes],
         "robustness": None if found.robustness is None else records.robustness_json(found.robustness),
         "gates": [each._asdict() for each in found.gates],
+        "works": dict(zip(found.names, found.works, strict=True)),
         "passed": found.passed,
     }

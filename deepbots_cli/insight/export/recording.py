@@ -6,14 +6,13 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli import api
 from deepbots_cli.expressions.types import Constant, Type
-from deepbots_cli.insight.export.control import ControlStep
 from deepbots_cli.insight.export.readings import Reading
 from deepbots_cli.program import Program
 from deepbots_cli.program.values import Expression
@@ -21,6 +20,9 @@ from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.episode import Driver
 from deepbots_cli.runtime import Supervisor
 from deepbots_robot.model import Output
+
+if TYPE_CHECKING:
+    from deepbots_cli.insight.export.control import ControlStep  # which imports torch: a simulated robot has no policy
 
 _PREFIX = "export_"
 _SEED = 20_000
