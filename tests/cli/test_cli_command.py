@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from importlib.machinery import PathFinder
@@ -416,3 +417,11 @@ def test_compile_does_not_write_over_the_scenario(deepbots, tmp_path):
     assert (ran.code, ran.out) == (2, "")
     assert "cartpole.yaml is an input of the scenario" in ran.err
     assert (tmp_path / "cartpole.yaml").read_bytes() == before
+
+
+@pytest.mark.parametrize("words", [("view", "cartpole"), ("serve", "cartpole", "--as-robot"), ("render", "cartpole", "-o", "x.png")])
+def test_without_a_simulator_a_command_names_the_extra_that_it_needs(tmp_path: Path, words: tuple[str, ...]) -> None:
+    code = "import sys; sys.modules['gymnasium'] = None; from deepbots_cli.cli import main; sys.exit(main(sys.argv[1:]))"
+    found = subprocess.run([sys.executable, "-c", code, *words], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert found.returncode == 2
+    assert re.fullmatch(r"error: .* needs .*'sim' extra; install it with: pip install '.*\[sim\]'\n", found.stderr.splitlines(True)[-1])

@@ -30,7 +30,7 @@ from deepbots_cli.rollout.source import Source, SourceKind
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.export.control import ControlStep
-    from deepbots_robot.model import ActionPart, BundleInfo, RobotFile, RosTopic
+    from deepbots_robot.model import ActionPart, BundleInfo, Input, Output, RobotFile, RosTopic
 
 _LICENSE = re.compile(r"SPDX-License-Identifier:\s*([A-Za-z0-9][\w.+() -]*)")
 
@@ -64,7 +64,9 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         parity = recorded_parity(bundle.Bundle(info, graph), step, learner, engine=run.engine_for(run.program))
     files = {bundle.GRAPH_NAME: graph, bundle.PARITY_NAME: parity}
     info = msgspec.structs.replace(info, files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()})
-    readme = render_template("export/bundle.md.j2", info=info, used=numbers_read(graph))
+    readme = render_template(
+        "export/bundle.md.j2", info=info, used=numbers_read(graph), numbers=run.program.agent.numbers, places=_places(info)
+    )
     # The scenario names the copies of its robot files; the YAML files that it was put together from are in it.
     robots = [name for name in run.record.inputs if not name.endswith((".yaml", ".yml"))]
     files |= {
@@ -148,6 +150,22 @@ def _topics(program: Program, names: Collection[str]) -> dict[str, RosTopic]:
         for name, topic in topics.mapping(program).items()
         if name in names
     }
+
+
+def _places(info: BundleInfo) -> dict[str, str]:
+    """Where the ROS message of each field carries it, in words."""
+    from deepbots_robot.serving import field_of
+    from deepbots_robot.topics import Topic, part_of, parts
+
+    found = {}
+    entries: list[Input | Output] = [*info.inputs, *info.outputs]
+    for entry in entries:
+        if (known := info.ros.get(entry.name)) is not None:
+            field = field_of(entry)
+            part = parts(known.type)[part_of(field, Topic(known.topic, known.type, known.part))]
+            of = f"of {', '.join(field.joints)}, by `name`" if part.by_joint else "in the order of the table" if part.count is None else ""
+            found[entry.name] = f"`{part.path}` {of}".strip()
+    return found
 
 
 def _action_parts(program: Program) -> list[ActionPart]:
