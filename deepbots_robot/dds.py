@@ -30,7 +30,7 @@ from cyclonedds.util import duration
 
 from deepbots_robot import idl
 from deepbots_robot.about import About, Remark
-from deepbots_robot.discovery import MARK, End, Others
+from deepbots_robot.discovery import KILLED, MARK, End, Others
 from deepbots_robot.link import ACTION_TOPIC, EPISODE_TOPIC, Array, Arrival
 from deepbots_robot.ros import Codec, by_topic, stamp_of
 from deepbots_robot.topics import Field, Topic
@@ -131,8 +131,7 @@ class RosLink:
             taken = self._others.sent_by_others(commands)
             if taken:
                 raise ValueError(
-                    f"another program sends commands on {taken} in {self.name}; end it, or choose another --domain on both sides"
-                    " (a program that was killed counts for 10 s)"
+                    f"another program sends commands on {taken} in {self.name}; end it, or choose another --domain on both sides {KILLED}"
                 )
             time.sleep(0.02)
 
@@ -171,10 +170,12 @@ class RosLink:
         return self._others.abouts()
 
     def close(self) -> None:
+        """End all topics at once: one that is lost at the end of the process counts for 10 s at the other end."""
         self._others.close()
         self._conditions.clear()
         self._readers.clear()
         self._writers.clear()
+        self._episode_writer = self._episode_reader = None
         del self._waiting, self._participant
 
 

@@ -21,6 +21,7 @@ from deepbots_robot.about import About, Remark, differences
 
 MARK = b"deepbots="
 """What the user data of a participant begins with, before the `About` as JSON."""
+KILLED = "(a program that was killed counts for 10 s)"
 _MOST, _TAKEN = 2000, 50
 """How many ends of topics are known at most, and how many are taken at a time; a call that takes none lasts 0.05 ms."""
 
@@ -64,7 +65,9 @@ class Others:
         for name, count in senders.items():
             everybody = count + self._ends[name].sends
             if everybody > 1 and count:
-                found.append(Remark(f"{everybody} programs send on {_plain(name)}; end all but one, or give each robot its own --domain"))
+                found.append(
+                    Remark(f"{everybody} programs send on {_plain(name)}; end all but one, or give each robot its own --domain {KILLED}")
+                )
         return found + [Remark(text) for text in self._differences()]
 
     def abouts(self) -> list[About]:

@@ -127,9 +127,29 @@ def test_over_ros_types_and_second_senders_are_noticed() -> None:
         assert said(robot) == [types.format("sensor_msgs/JointState", "std_msgs/Float64MultiArray")]
         assert all(remark.is_misfit for remark in robot.remarks())
         with closing(robot_end(transport)):
-            assert "2 programs send on /cart/joint_states" in " ".join(said(policy, lambda found: "programs send" in " ".join(found)))
+            twice = " ".join(said(policy, lambda found: "programs send" in " ".join(found)))
+            assert "2 programs send on /cart/joint_states" in twice
+            assert "(a program that was killed counts for 10 s)" in twice
             assert "2 programs send on /deepbots/episode" in " ".join(said(robot, lambda found: "episode" in " ".join(found)))
         assert "programs send" not in " ".join(said(policy, lambda found: "programs send" not in " ".join(found)))
+
+
+def test_over_ros_a_robot_that_has_ended_is_no_second_sender() -> None:
+    pytest.importorskip("cyclonedds")
+    transport = Transport(domain=78)
+    with closing(policy_end(transport)) as policy:
+        first = robot_end(transport)
+        until = time.monotonic() + 5.0
+        while not policy.others():
+            assert policy.remarks() == []
+            assert time.monotonic() < until
+        first.close()
+        with closing(robot_end(transport)) as second:
+            while not second.connected():
+                assert time.monotonic() < until
+            settled = time.monotonic() + 0.5
+            assert said(policy, lambda found: time.monotonic() > settled) == []
+        del first  # an ended link may live on in a variable
 
 
 def test_over_ros_another_scenario_in_the_domain_is_named_and_a_lockstep_of_one_side() -> None:
