@@ -237,7 +237,7 @@ def serve(
     writer = _opened(log, bundle)
     try:
         scenario = bundle.info.scenario
-        about = About("policy", scenario.name, scenario.task_digest, pace(lockstep=lockstep, speed=speed))
+        about = About("policy", scenario.name, scenario.task_digest, pace(lockstep=lockstep, speed=speed), rate=bundle.info.rate_hz)
         link = transport.open(receives, sends, robot=False, about=about)
     except ServeError:
         if writer is not None:

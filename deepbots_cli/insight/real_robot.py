@@ -437,7 +437,14 @@ def try_robot(
                 action_field(len(program.agent.choices) or len(program.agent.range_names)),
                 *mapped([each.field for each in outputs], given, commands=True),
             ]
-            about = About("policy", program.name, identity.task_digest(program), pace(lockstep=lockstep, speed=speed), scores=True)
+            about = About(
+                "policy",
+                program.name,
+                identity.task_digest(program),
+                pace(lockstep=lockstep, speed=speed),
+                rate=1.0 / bare.period,
+                scores=True,
+            )
             link = transport.open(receives, sends, robot=False, about=about)
         except ServeError as error:
             raise UsageError(str(error)) from None

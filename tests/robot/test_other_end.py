@@ -10,6 +10,9 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("zmq")
+pytest.importorskip("msgspec")
+
+import msgspec
 
 from deepbots_robot.about import About, differences, misfit, with_fields
 from deepbots_robot.link import Link
@@ -73,6 +76,13 @@ def test_fields_that_differ_are_named(sends: tuple[Field, ...], problem: str) ->
 def test_ends_that_work_together_but_differ_are_named(other: About, problem: str) -> None:
     (found,) = differences(POLICY, other)
     assert problem in found
+
+
+def test_rates_that_differ_are_named_on_both_sides() -> None:
+    policy, robot = (msgspec.structs.replace(each, rate=rate) for each, rate in ((POLICY, 31.25), (ROBOT, 62.5)))
+    assert differences(policy, robot) == differences(robot, policy) == ["the robot steps at 62.5 Hz, the policy acts at 31.25 Hz"]
+    assert differences(policy, msgspec.structs.replace(robot, rate=1 / 0.032)) == []
+    assert differences(policy, ROBOT) == []
 
 
 def test_over_zeromq_nothing_of_another_scenario_is_used_and_both_ends_say_so(tmp_path: Path) -> None:
