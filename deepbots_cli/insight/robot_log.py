@@ -78,7 +78,7 @@ def logged_episodes(path: Path, note: Callable[[str], object] = lambda text: Non
         note: Called if the log is used in part; see `read_log`.
 
     Raises:
-        UsageError: The file cannot be read as a log.
+        UsageError: The file cannot be read as a log, or contains neither a step nor an event.
     """
     from deepbots_robot.log import read_log
 
@@ -107,7 +107,11 @@ def logged_episodes(path: Path, note: Callable[[str], object] = lambda text: Non
                     episode.answers.append(float(content.get("answer", 0.0)))
     except (OSError, ValueError, TypeError) as error:
         raise UsageError(f"{path} cannot be read as a log of `deepbots serve --log`: {error}") from error
-    return found if not before else [_begun(0, 0.0, before)]
+    if before:
+        found = [_begun(0, 0.0, before)]
+    if not found:
+        raise UsageError(f"{path} contains no step: the robot sent no complete set of values")
+    return found
 
 
 def _begun(number: int, begun: float, events: list[tuple[float, str, str]]) -> LoggedEpisode:

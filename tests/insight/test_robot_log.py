@@ -119,6 +119,18 @@ def test_the_episodes_of_a_log_are_listed_and_explained(tmp_path: Path, capsys: 
     assert "is the log of a robot without the scenario" in capsys.readouterr().err
 
 
+def test_a_log_of_a_robot_that_sent_nothing_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from deepbots_robot.log import LogWriter
+
+    path = tmp_path / "log.mcap"
+    LogWriter(path, {}).close()
+    for words in (["diagnose", str(path)], ["replay", str(path)], ["diagnose", str(path), "--episode", "0"]):
+        assert main(words) == 2
+        found = capsys.readouterr()
+        assert "contains no step: the robot sent no complete set of values" in found.err
+        assert found.out == ""
+
+
 def test_episodes_of_a_robot_that_restarts_have_numbers_of_their_own(tmp_path: Path) -> None:
     from deepbots_robot.log import LogWriter
 
