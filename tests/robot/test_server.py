@@ -360,6 +360,19 @@ def test_damaged_bytes_of_ros_messages_crash_nothing() -> None:
     assert all(math.isfinite(seen) and abs(seen) <= 1.02 for seen in world.policy.seen)
 
 
+def test_in_lockstep_a_robot_that_is_quiet_is_remarked_on_once_each_time() -> None:
+    world = World(lockstep=True)
+    world.run(120.0)
+    assert world.events == []  # nobody has begun
+    for begun in (120.0, 140.0):
+        world.line.put(begun, 0.1)
+        world.run(begun + 4.9)
+        assert len(world.events) == (begun == 140.0)
+        world.run(begun + 19.0)
+    assert world.events == [("quiet", "no values for 5 s: does the robot still run?")] * 2
+    assert len(world.line.sent) == 2
+
+
 # The log
 
 
