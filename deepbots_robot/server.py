@@ -257,7 +257,7 @@ class Server:
             self._event("resumed", "all inputs are there again")
         self._is_safe, self._fault = False, ""
         self._send({ACTION: np.atleast_1d(found[ACTION]), **commands} if ACTION in found else commands)
-        answer = self._clock() - received
+        answer = 0.0 if held else self._clock() - received
         self.steps += 1
         if not held:
             self.answers.append(answer)

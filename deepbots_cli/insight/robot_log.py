@@ -49,7 +49,7 @@ class LoggedEpisode:
     """An episode of a log.
 
     `number` counts the episodes of the log: a robot that restarts begins to count anew. `begun` is in s since the beginning of the log,
-    `seconds` the time until the last step of the policy, `answers` are answer times in s.
+    `seconds` the time until the last step of the policy, `answers` are answer times in s, of the steps that answer a new value.
     """
 
     number: int
@@ -104,7 +104,8 @@ def logged_episodes(path: Path, note: Callable[[str], object] = lambda text: Non
                 else:
                     episode.steps += 1
                     episode.seconds = max(episode.seconds, stamp - origin - episode.begun)
-                    episode.answers.append(float(content.get("answer", 0.0)))
+                    answer = float(content.get("answer", 0.0))
+                    episode.answers += [answer] * (answer > 0.0)
     except (OSError, ValueError, TypeError) as error:
         raise UsageError(f"{path} cannot be read as a log of `deepbots serve --log`: {error}") from error
     if before:
