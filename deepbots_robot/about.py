@@ -24,7 +24,7 @@ class About(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fiel
         scenario: The name of its scenario.
         digest: Of what makes an episode of this scenario.
         pace: How its time passes: `in lockstep`, or `at speed 1`.
-        sends: What it sends: counts and units by the names of fields. ROS 2 has types of topics instead.
+        sends: What it sends: counts and units by the names of fields. Over ROS 2 only where it is short enough for discovery.
         takes: What it receives.
         rate: How many steps a second of its time has: at which the robot steps, or the policy acts. 0 if it is not known.
         scores: Whether it needs the values at the end of an episode too, since it computes rewards.
@@ -57,17 +57,17 @@ def with_fields(about: About, sends: Sequence[Field], takes: Sequence[Field]) ->
     return msgspec.structs.replace(about, **dict(zip(("sends", "takes"), named, strict=True)))
 
 
-def misfit(own: About, other: About) -> str:
-    """Why the two ends cannot work together; empty if they can."""
-    problem = _difference(own, other) or _difference(other, own)
+def misfit(own: About, other: About, *, topics: bool = False) -> str:
+    """Why the two ends cannot work together; empty if they can. With `topics`, a field that nobody takes does no harm."""
+    problem = _difference(own, other, topics=topics) or _difference(other, own, topics=topics)
     if own.role == other.role:
         problem = f"it is a {own.role} too"
     return f"{_other(other)} does not fit {_this(own)}: {problem}" if problem else ""
 
 
-def _difference(sender: About, taker: About) -> str:
+def _difference(sender: About, taker: About, *, topics: bool) -> str:
     """The first field that one end sends otherwise than the other one takes it."""
-    for name in (*taker.takes, *sender.sends):
+    for name in (*taker.takes, *(() if topics else sender.sends)):
         sent, taken = sender.sends.get(name), taker.takes.get(name)
         if sent is None:
             return f"the {taker.role} needs {name} ({taken}), which the {sender.role} does not send"
