@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Annotated, Literal, NamedTuple
 
@@ -23,8 +24,9 @@ class About(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fiel
         scenario: The name of its scenario.
         digest: Of what makes an episode of this scenario.
         pace: How its time passes: `in lockstep`, or `at speed 1`.
-        sends: What it sends: counts and units by the names of fields. ROS 2 has types of topics instead.
+        sends: What it sends: counts and units by the names of fields. Over ROS 2 only where it is short enough for discovery.
         takes: What it receives.
+        rate: How many steps a second of its time has: at which the robot steps, or the policy acts. 0 if it is not known.
         scores: Whether it needs the values at the end of an episode too, since it computes rewards.
     """
 
@@ -34,6 +36,7 @@ class About(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fiel
     pace: Text
     sends: Annotated[dict[Text, Text], Meta(max_length=MAX_FIELDS)] = {}
     takes: Annotated[dict[Text, Text], Meta(max_length=MAX_FIELDS)] = {}
+    rate: Annotated[float, Meta(ge=0.0)] = 0.0
     scores: bool = False
 
 
@@ -54,17 +57,17 @@ def with_fields(about: About, sends: Sequence[Field], takes: Sequence[Field]) ->
     return msgspec.structs.replace(about, **dict(zip(("sends", "takes"), named, strict=True)))
 
 
-def misfit(own: About, other: About) -> str:
-    """Why the two ends cannot work together; empty if they can."""
-    problem = _difference(own, other) or _difference(other, own)
+def misfit(own: About, other: About, *, topics: bool = False) -> str:
+    """Why the two ends cannot work together; empty if they can. With `topics`, a field that nobody takes does no harm."""
+    problem = _difference(own, other, topics=topics) or _difference(other, own, topics=topics)
     if own.role == other.role:
         problem = f"it is a {own.role} too"
     return f"{_other(other)} does not fit {_this(own)}: {problem}" if problem else ""
 
 
-def _difference(sender: About, taker: About) -> str:
+def _difference(sender: About, taker: About, *, topics: bool) -> str:
     """The first field that one end sends otherwise than the other one takes it."""
-    for name in (*taker.takes, *sender.sends):
+    for name in (*taker.takes, *(() if topics else sender.sends)):
         sent, taken = sender.sends.get(name), taker.takes.get(name)
         if sent is None:
             return f"the {taker.role} needs {name} ({taken}), which the {sender.role} does not send"
@@ -84,10 +87,16 @@ def differences(own: About, other: About) -> list[str]:
         found.append(
             f"{_other(other)} is of another version of the scenario than {_this(own)}: another world, other values, or another robot file"
         )
+    if own.rate and other.rate and not math.isclose(own.rate, other.rate, rel_tol=1e-3):
+        found.append(", ".join(_rate(each) for each in sorted((own, other), key=lambda each: each.role, reverse=True)))
     if own.pace != other.pace:
         paces = f"the {other.role} runs {other.pace}, and this {own.role} {own.pace}"
         found.append(f"{paces}; give --lockstep, or the same --speed, on both sides")
     return found
+
+
+def _rate(about: About) -> str:
+    return f"the {about.role} {'steps' if about.role == 'robot' else 'acts'} at {about.rate:g} Hz"
 
 
 def _other(about: About) -> str:

@@ -29,8 +29,8 @@ from cyclonedds.topic import Topic as DdsTopic
 from cyclonedds.util import duration
 
 from deepbots_robot import idl
-from deepbots_robot.about import About, Remark
-from deepbots_robot.discovery import MARK, End, Others
+from deepbots_robot.about import About, Remark, with_fields
+from deepbots_robot.discovery import KILLED, MARK, End, Others
 from deepbots_robot.link import ACTION_TOPIC, EPISODE_TOPIC, Array, Arrival
 from deepbots_robot.ros import Codec, by_topic, stamp_of
 from deepbots_robot.topics import Field, Topic
@@ -51,6 +51,8 @@ _CONNECTED = 2.0
 """Seconds after the first connection in which listeners of all topics are waited for; another program may leave some out."""
 _DISCOVERY = 0.5
 """Seconds in which a policy looks for another one before it begins; on one machine they find each other within 0.1 s."""
+_DESCRIBED = 8000
+"""Bytes of what a participant says about itself, which a message of discovery has room for."""
 
 _DOMAINS: dict[int, tuple[str, Any]] = {}
 """The domains of this process with their networks; a process has one of each number, which two ends in it share."""
@@ -92,7 +94,9 @@ class RosLink:
                 _DOMAINS[domain] = network, Domain(domain, f"<CycloneDDS><Domain>{network}</Domain></CycloneDDS>")
             if _DOMAINS[domain][0] != network:
                 raise ValueError(f"the domain {domain} is already open on another network interface")
-            described = Qos(Policy.Userdata(MARK + msgspec.json.encode(about))) if about is not None else None
+            whole = about and with_fields(about, [field for field, _ in sends], [field for field, _ in receives])
+            texts = [msgspec.json.encode(each) for each in (whole, about) if each is not None]
+            described = Qos(Policy.Userdata(MARK + next((text for text in texts if len(text) < _DESCRIBED), texts[-1]))) if texts else None
             self._participant = DomainParticipant(domain, qos=described)
         except DDSException as error:
             raise ValueError(f"{self.name} cannot be opened; `ip address` lists the network interfaces") from error
@@ -104,7 +108,7 @@ class RosLink:
         ends = {f"rt{name}": End(codec.type, name in _by_topic(sends), qos[name] is COMMANDS) for name, codec in codecs.items()}
         ends[f"rt{EPISODE_TOPIC}"] = End("std_msgs/Header", robot, is_reliable=True)
         self._connected_at = math.inf
-        self._others = Others(self._participant, ends, about)
+        self._others = Others(self._participant, ends, whole)
         if about is not None and about.role == "policy":
             self._refuse_a_second_policy([f"rt{name}" for name in _by_topic(sends) if name != ACTION_TOPIC])
         self._waiting = WaitSet(self._participant)
@@ -131,8 +135,7 @@ class RosLink:
             taken = self._others.sent_by_others(commands)
             if taken:
                 raise ValueError(
-                    f"another program sends commands on {taken} in {self.name}; end it, or choose another --domain on both sides"
-                    " (a program that was killed counts for 10 s)"
+                    f"another program sends commands on {taken} in {self.name}; end it, or choose another --domain on both sides {KILLED}"
                 )
             time.sleep(0.02)
 
@@ -171,10 +174,12 @@ class RosLink:
         return self._others.abouts()
 
     def close(self) -> None:
+        """End all topics at once: one that is lost at the end of the process counts for 10 s at the other end."""
         self._others.close()
         self._conditions.clear()
         self._readers.clear()
         self._writers.clear()
+        self._episode_writer = self._episode_reader = None
         del self._waiting, self._participant
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -17,12 +18,15 @@ from cyclonedds.core import InstanceState
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.qos import Policy
 
-from deepbots_robot.about import About, Remark, differences
+from deepbots_robot.about import About, Remark, differences, misfit
 
 MARK = b"deepbots="
 """What the user data of a participant begins with, before the `About` as JSON."""
+KILLED = "(a program that was killed counts for 10 s)"
 _MOST, _TAKEN = 2000, 50
 """How many ends of topics are known at most, and how many are taken at a time; a call that takes none lasts 0.05 ms."""
+_SETTLED = 1.0
+"""Seconds in which the other end of the same scenario is found, if it runs already, before one of another scenario counts."""
 
 
 class End(NamedTuple):
@@ -38,6 +42,7 @@ class Others:
 
     def __init__(self, participant: DomainParticipant, ends: Mapping[str, End], about: About | None) -> None:
         """`ends` are our topics, by their names in DDS."""
+        self._began = time.monotonic()
         self._own, self._about, self._ends = participant.guid, about, ends
         topics = (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription, BuiltinTopicDcpsParticipant)
         self._readers: list[tuple[Any, dict[Any, Any]]] = [(BuiltinDataReader(participant, topic), {}) for topic in topics]
@@ -64,8 +69,10 @@ class Others:
         for name, count in senders.items():
             everybody = count + self._ends[name].sends
             if everybody > 1 and count:
-                found.append(Remark(f"{everybody} programs send on {_plain(name)}; end all but one, or give each robot its own --domain"))
-        return found + [Remark(text) for text in self._differences()]
+                found.append(
+                    Remark(f"{everybody} programs send on {_plain(name)}; end all but one, or give each robot its own --domain {KILLED}")
+                )
+        return [*found, *self._differences()]
 
     def abouts(self) -> list[About]:
         """What programs of deepbots in the domain say about themselves."""
@@ -86,14 +93,21 @@ class Others:
         for (_, known), is_sent in zip(self._readers[:2], (True, False), strict=True):
             yield from ((is_sent, each) for each in known.values() if each.participant_key != self._own and each.topic_name in self._ends)
 
-    def _differences(self) -> list[str]:
-        """What programs of deepbots with the other role should agree on with this one."""
+    def _differences(self) -> Iterator[Remark]:
+        """What programs of deepbots with the other role should agree on with this one: those of its scenario, else all."""
         own = self._about
         if own is None:
-            return []
+            return
         found = [each for each in self.abouts() if each.role != own.role]
         near = [each for each in found if each.scenario == own.scenario]
-        return [text for each in near or found for text in differences(own, each)]
+        if not near and time.monotonic() < self._began + _SETTLED:
+            return
+        for each in near or found:
+            problem = misfit(own, each, topics=True) if each.sends and each.takes else ""
+            if problem:
+                yield Remark(problem if near else f"{problem}; give each robot its own --domain {KILLED}", is_misfit=True)
+            else:
+                yield from (Remark(text) for text in differences(own, each))
 
     def close(self) -> None:
         self._readers.clear()

@@ -1,6 +1,7 @@
 """The log of a server: an MCAP file that can be read up to its last second even if the process is killed.
 
-    /step         one message per command: inputs, their ages (s), commands, the answer time (s), and the posture, `policy` or `safe`
+    /step         one message per command: inputs, their ages (s), commands, the posture, `policy` or `safe`, and the answer
+                  time (s), 0 for a command that answers no new value
     /event        episodes, refused messages, and why the robot went into the safe posture
     attachments   bundle.json, and the scenario of the bundle: resolved.yaml and inputs/
 

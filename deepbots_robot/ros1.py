@@ -7,9 +7,11 @@ policy acknowledges a reset on `/deepbots/begun`, and the robot sends its first 
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
 import re
+import signal
 import socket
 import threading
 import time
@@ -62,6 +64,7 @@ class Ros1Link:
                 "deepbots", anonymous=True, disable_signals=True, disable_rosout=True, disable_rostime=True, log_level=rospy.FATAL
             )
             logging.getLogger("rosout").setLevel(logging.CRITICAL)
+            atexit.register(_end_node)
         self._node = rospy.get_name()
         self._master = rosgraph.Master(self._node)
         self._about, self._robot = about, robot
@@ -209,6 +212,14 @@ class Ros1Link:
             for name, nodes in self._master.getSystemState()[0]:
                 if name in sent and name != ACTION_TOPIC and self._alive(nodes):
                     raise ValueError(f"another program sends commands on {name} in {self.name}; end it first")
+
+
+def _end_node() -> None:
+    """End the node of this process without the wait of rospy, up to 5 s, for a daemon thread; Ctrl-C then ends the process at once."""
+    with suppress(ValueError):  # not in the main thread
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    getattr(rospy.core, "_shutdown_threads", []).clear()
+    rospy.signal_shutdown("the process ends")
 
 
 class _Patient(xmlrpc.client.Transport):

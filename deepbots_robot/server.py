@@ -27,6 +27,8 @@ LATE = 0.5
 _LONGEST_WAIT = 0.1  # s, so that a signal is noticed
 _LOOK = 1.0
 """Seconds between two looks at what is known of the other end."""
+QUIET = 5.0
+"""Seconds without a value in lockstep, or without a first step, after which a person is told."""
 _MOST_REMARKS = 100
 
 
@@ -151,6 +153,7 @@ class Server:
         self._is_safe = False  # whether the last command was that of the safe posture
         self._last_sent: Mapping[str, Array] = {}
         self._sent_at = self._looked_at = clock()
+        self._heard_at = np.inf  # the last arrival; without one, or once its absence was said, none
         self.remarks: list[str] = []
         """What was noticed about the other end."""
 
@@ -190,7 +193,7 @@ class Server:
         wrong: Refusal | None = None
         again = False
         for arrival in self.link.take():
-            now = self._clock()
+            now = self._heard_at = self._clock()
             if arrival.kind == "reset" and not arrival.problem:
                 self._begin(arrival.number, arrival.stamp)
                 continue
@@ -202,6 +205,9 @@ class Server:
         now = self._clock()
         if self._lockstep:
             self._answer(wrong, again)
+            if now - self._heard_at > QUIET:
+                self._heard_at = np.inf
+                self._event("quiet", f"no values for {QUIET:g} s: does the robot still run?", after=QUIET)
         elif wrong is not None and (not self._fault or now >= self._due - EARLY * self._period):
             self._send_safe(wrong.kind, wrong.text)
         elif np.isfinite(self._due) or self.intake.complete() or now - self._begun_at > RESTART:
@@ -251,7 +257,7 @@ class Server:
             self._event("resumed", "all inputs are there again")
         self._is_safe, self._fault = False, ""
         self._send({ACTION: np.atleast_1d(found[ACTION]), **commands} if ACTION in found else commands)
-        answer = self._clock() - received
+        answer = 0.0 if held else self._clock() - received
         self.steps += 1
         if not held:
             self.answers.append(answer)
@@ -296,9 +302,9 @@ class Server:
         self._fault = ""
         self._event("episode", str(number))
 
-    def _event(self, kind: str, text: str) -> None:
+    def _event(self, kind: str, text: str, after: float = 0.0) -> None:
         if self._log is not None:
-            self._log.event(self._stamp(), kind, text)
+            self._log.event(self._stamp() + after, kind, text)
 
     def report(self) -> dict[str, Any]:
         """What was served: times in s, counts of messages, and why messages were refused."""

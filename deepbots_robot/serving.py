@@ -18,7 +18,7 @@ from deepbots_robot import model
 from deepbots_robot.about import About, pace
 from deepbots_robot.intake import Input
 from deepbots_robot.link import Array, Link
-from deepbots_robot.server import Output, Server
+from deepbots_robot.server import QUIET, Output, Server
 from deepbots_robot.topics import Field, Topic, action_field, conflicts, first_mapping
 
 if TYPE_CHECKING:
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from deepbots_robot.log import LogWriter
 
 MAX_SPEED = 1000.0
-_QUIET = 5.0
-"""Seconds without a step after which the server says what it waits for."""
 
 
 class ServeError(Exception):
@@ -237,7 +235,7 @@ def serve(
     writer = _opened(log, bundle)
     try:
         scenario = bundle.info.scenario
-        about = About("policy", scenario.name, scenario.task_digest, pace(lockstep=lockstep, speed=speed))
+        about = About("policy", scenario.name, scenario.task_digest, pace(lockstep=lockstep, speed=speed), rate=bundle.info.rate_hz)
         link = transport.open(receives, sends, robot=False, about=about)
     except ServeError:
         if writer is not None:
@@ -248,7 +246,7 @@ def serve(
     note(f"{bundle.info.scenario.name} acts at {bundle.info.rate_hz:g} Hz over {link.name}; it waits for {sources}")
     try:
         with stopping() as stopped:
-            server.run(_until(stopped, seconds, server, note))
+            server.run(until(stopped, seconds, server, note))
     finally:
         link.close()
         if writer is not None:
@@ -328,17 +326,18 @@ class stopping:  # noqa: N801  a context manager
             signal.signal(number, handler)
 
 
-def _until(stopped: Callable[[], bool], seconds: float | None, server: Server, note: Callable[[str], object]) -> Callable[[], bool]:
+def until(stopped: Callable[[], bool], seconds: float | None, server: Server, note: Callable[[str], object]) -> Callable[[], bool]:
+    """Whether the server should end: `stopped`, or after `seconds`. Without a step in the first 5 s, `note` gets what is missing."""
     began = time.monotonic()
     said = False
 
     def done() -> bool:
         nonlocal said
         passed = time.monotonic() - began
-        if not said and not server.steps and passed > _QUIET:
+        if not said and not server.steps and passed > QUIET:
             said = True
             missing = ", ".join(server.intake.missing()[:5])
-            note(f"no step in {_QUIET:g} s: there is no value of {missing} yet" if missing else f"no step in {_QUIET:g} s")
+            note(f"no step in {QUIET:g} s: there is no value of {missing} yet" if missing else f"no step in {QUIET:g} s")
         return stopped() or (seconds is not None and passed >= seconds)
 
     return done

@@ -47,7 +47,7 @@ from deepbots_cli.rollout.episode import Step
 from deepbots_cli.runtime import Supervisor
 from deepbots_robot.about import About, pace
 from deepbots_robot.server import Server
-from deepbots_robot.serving import Notes, ServeError, Transport, field_of, inputs_of_entries, mapped, outputs_of_entries, stopping
+from deepbots_robot.serving import Notes, ServeError, Transport, field_of, inputs_of_entries, mapped, outputs_of_entries, stopping, until
 from deepbots_robot.topics import ACTION, action_field
 
 RESET_BY_ROBOT = "robot_reset"
@@ -437,7 +437,14 @@ def try_robot(
                 action_field(len(program.agent.choices) or len(program.agent.range_names)),
                 *mapped([each.field for each in outputs], given, commands=True),
             ]
-            about = About("policy", program.name, identity.task_digest(program), pace(lockstep=lockstep, speed=speed), scores=True)
+            about = About(
+                "policy",
+                program.name,
+                identity.task_digest(program),
+                pace(lockstep=lockstep, speed=speed),
+                rate=1.0 / bare.period,
+                scores=True,
+            )
             link = transport.open(receives, sends, robot=False, about=about)
         except ServeError as error:
             raise UsageError(str(error)) from None
@@ -447,9 +454,9 @@ def try_robot(
             server = Server(player, inputs, outputs, link, 1.0 / bare.period, lockstep=lockstep, speed=speed, log=Notes(None, note))
             note(f"{program.name} acts at {1.0 / bare.period:g} Hz over {link.name}")
             player.begin(driver, count=episodes, seed=seed, options=options or {}, max_steps=max_steps)
-            silence = _Silence(server, seconds)
+            silence, is_stopped = _Silence(server, seconds), until(stopped, None, server, note)
             try:
-                server.run(lambda: stopped() or player.is_over or silence())
+                server.run(lambda: is_stopped() or player.is_over or silence())
             finally:
                 player.close(is_silent=silence.is_over)
             if stopped():

@@ -374,7 +374,7 @@ def serve_robot(
     try:
         sends = mapped([field_of(reading.info) for reading in readings], given)
         receives = mapped([field_of(entry) for entry in outputs], given, commands=True)
-        about = About("robot", program.name, identity.task_digest(program), pace(lockstep=lockstep, speed=speed))
+        about = About("robot", program.name, identity.task_digest(program), pace(lockstep=lockstep, speed=speed), rate=1.0 / bare.period)
         link = transport.open(receives, sends, robot=True, about=about)
     except ServeError as error:
         raise UsageError(str(error)) from None

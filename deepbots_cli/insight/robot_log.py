@@ -49,7 +49,7 @@ class LoggedEpisode:
     """An episode of a log.
 
     `number` counts the episodes of the log: a robot that restarts begins to count anew. `begun` is in s since the beginning of the log,
-    `seconds` the time until the last step of the policy, `answers` are answer times in s.
+    `seconds` the time until the last step of the policy, `answers` are answer times in s, of the steps that answer a new value.
     """
 
     number: int
@@ -78,7 +78,7 @@ def logged_episodes(path: Path, note: Callable[[str], object] = lambda text: Non
         note: Called if the log is used in part; see `read_log`.
 
     Raises:
-        UsageError: The file cannot be read as a log.
+        UsageError: The file cannot be read as a log, or contains neither a step nor an event.
     """
     from deepbots_robot.log import read_log
 
@@ -104,10 +104,15 @@ def logged_episodes(path: Path, note: Callable[[str], object] = lambda text: Non
                 else:
                     episode.steps += 1
                     episode.seconds = max(episode.seconds, stamp - origin - episode.begun)
-                    episode.answers.append(float(content.get("answer", 0.0)))
+                    answer = float(content.get("answer", 0.0))
+                    episode.answers += [answer] * (answer > 0.0)
     except (OSError, ValueError, TypeError) as error:
         raise UsageError(f"{path} cannot be read as a log of `deepbots serve --log`: {error}") from error
-    return found if not before else [_begun(0, 0.0, before)]
+    if before:
+        found = [_begun(0, 0.0, before)]
+    if not found:
+        raise UsageError(f"{path} contains no step: the robot sent no complete set of values")
+    return found
 
 
 def _begun(number: int, begun: float, events: list[tuple[float, str, str]]) -> LoggedEpisode:

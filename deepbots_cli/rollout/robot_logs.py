@@ -30,7 +30,7 @@ class LoggedStep(msgspec.Struct, frozen=True):
         inputs: The values by input, in C order; none in the safe posture, in which the policy is not asked.
         ages: The age of each value in s.
         commands: By output.
-        answer: Time in s from the newest value to the command.
+        answer: Time in s from the newest value to the command; 0 for a command that answers no new value.
         posture: `policy` or `safe`.
         events: What happened since the step before, a sentence each.
     """

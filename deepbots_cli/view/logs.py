@@ -126,7 +126,7 @@ class LogPlayer(ReplayPlayer):
         )
 
     def _agent(self, step: LoggedStep) -> AgentFrame:
-        times = (step.answer if step.posture != _SAFE else math.nan, *(step.ages.get(name, math.nan) for name in self._aged))
+        times = (step.answer or math.nan, *(step.ages.get(name, math.nan) for name in self._aged))
         seen = (
             *(column.of(step.inputs) for column in self._inputs),
             float(step.posture == _SAFE),

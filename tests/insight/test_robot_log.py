@@ -101,22 +101,35 @@ def test_the_episodes_of_a_log_are_listed_and_explained(tmp_path: Path, capsys: 
     values, commands = {"cart.pole_angle": np.zeros(1)}, {"cart.wheels": np.zeros(4)}
     for number, begun in enumerate((10.0, 20.0)):
         writer.event(begun, "episode", str(number))
+        writer.step(begun + 0.45, values, commands, 0.0, "policy")  # answers no new value
         writer.step(begun + 0.5, values, commands, 0.002, "policy")
     writer.event(20.6, "safe", "no new value of cart.pole_angle")
     writer.step(20.6, {}, commands, 0.0, "safe")
     writer.close()
     assert main(["replay", str(path), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["episodes"]
-    assert [(each["number"], each["begun"], each["steps"], each["safe_steps"]) for each in found] == [(0, 0.0, 1, 0), (1, 10.0, 1, 1)]
+    assert [(each["number"], each["begun"], each["steps"], each["safe_steps"]) for each in found] == [(0, 0.0, 2, 0), (1, 10.0, 2, 1)]
     assert [each["seconds"] for each in found] == [0.5, 0.5]  # without the time in which no policy acted
     assert main(["diagnose", str(path), "--episode", "1"]) == 0
     shown = capsys.readouterr().out
-    assert "episode 1: 1 steps of the policy in 0.5 s; median answer 2.00 ms" in shown
+    assert "episode 1: 2 steps of the policy in 0.5 s; median answer 2.00 ms, longest 2.00 ms" in shown
     assert "0.60 s  safe posture: no new value of cart.pole_angle" in shown
     assert main(["diagnose", str(path), "--episode", "7"]) == 2
     assert "has no episode 7; list them with: deepbots replay" in capsys.readouterr().err
     assert main(["view", str(path)]) == 2
     assert "is the log of a robot without the scenario" in capsys.readouterr().err
+
+
+def test_a_log_of_a_robot_that_sent_nothing_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from deepbots_robot.log import LogWriter
+
+    path = tmp_path / "log.mcap"
+    LogWriter(path, {}).close()
+    for words in (["diagnose", str(path)], ["replay", str(path)], ["diagnose", str(path), "--episode", "0"]):
+        assert main(words) == 2
+        found = capsys.readouterr()
+        assert "contains no step: the robot sent no complete set of values" in found.err
+        assert found.out == ""
 
 
 def test_episodes_of_a_robot_that_restarts_have_numbers_of_their_own(tmp_path: Path) -> None:

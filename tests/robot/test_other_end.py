@@ -10,6 +10,9 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("zmq")
+pytest.importorskip("msgspec")
+
+import msgspec
 
 from deepbots_robot.about import About, differences, misfit, with_fields
 from deepbots_robot.link import Link
@@ -75,6 +78,13 @@ def test_ends_that_work_together_but_differ_are_named(other: About, problem: str
     assert problem in found
 
 
+def test_rates_that_differ_are_named_on_both_sides() -> None:
+    policy, robot = (msgspec.structs.replace(each, rate=rate) for each, rate in ((POLICY, 31.25), (ROBOT, 62.5)))
+    assert differences(policy, robot) == differences(robot, policy) == ["the robot steps at 62.5 Hz, the policy acts at 31.25 Hz"]
+    assert differences(policy, msgspec.structs.replace(robot, rate=1 / 0.032)) == []
+    assert differences(policy, ROBOT) == []
+
+
 def test_over_zeromq_nothing_of_another_scenario_is_used_and_both_ends_say_so(tmp_path: Path) -> None:
     transport = Transport(zmq=f"ipc://{tmp_path}/link")
     with (
@@ -127,22 +137,53 @@ def test_over_ros_types_and_second_senders_are_noticed() -> None:
         assert said(robot) == [types.format("sensor_msgs/JointState", "std_msgs/Float64MultiArray")]
         assert all(remark.is_misfit for remark in robot.remarks())
         with closing(robot_end(transport)):
-            assert "2 programs send on /cart/joint_states" in " ".join(said(policy, lambda found: "programs send" in " ".join(found)))
+            twice = " ".join(said(policy, lambda found: "programs send" in " ".join(found)))
+            assert "2 programs send on /cart/joint_states" in twice
+            assert "(a program that was killed counts for 10 s)" in twice
             assert "2 programs send on /deepbots/episode" in " ".join(said(robot, lambda found: "episode" in " ".join(found)))
         assert "programs send" not in " ".join(said(policy, lambda found: "programs send" not in " ".join(found)))
 
 
-def test_over_ros_another_scenario_in_the_domain_is_named_and_a_lockstep_of_one_side() -> None:
+def test_over_ros_a_robot_that_has_ended_is_no_second_sender() -> None:
+    pytest.importorskip("cyclonedds")
+    transport = Transport(domain=78)
+    with closing(policy_end(transport)) as policy:
+        first = robot_end(transport)
+        until = time.monotonic() + 5.0
+        while not policy.others():
+            assert policy.remarks() == []
+            assert time.monotonic() < until
+        first.close()
+        with closing(robot_end(transport)) as second:
+            while not second.connected():
+                assert time.monotonic() < until
+            settled = time.monotonic() + 0.5
+            assert said(policy, lambda found: time.monotonic() > settled) == []
+        del first  # an ended link may live on in a variable
+
+
+def test_over_ros_another_scenario_in_the_domain_is_named_unless_the_own_one_is_there_too() -> None:
     pytest.importorskip("cyclonedds")
     transport = Transport(domain=76)
     other = Field("dog.angle", "dog", "joint_position", "rad", (1,), ("knee",))
     with closing(policy_end(transport)) as policy:
         dog = About("robot", "Dog", "bb", "at speed 1")
         with closing(robot_end(transport, dog, other, Topic("/dog/joint_states", "sensor_msgs/JointState"))) as robot:
-            assert said(policy) == ["the robot of Dog at the other end is of another scenario than this policy of CartPole"]
-            assert said(robot) == ["the policy of CartPole at the other end is of another scenario than this robot of Dog"]
+            problem = "the policy needs cart.angle (1 number in rad), which the robot does not send; give each robot its own --domain"
+            assert f"the robot of Dog at the other end does not fit this policy of CartPole: {problem}" in said(policy)[0]
+            assert f"the policy of CartPole at the other end does not fit this robot of Dog: {problem}" in said(robot)[0]
+            assert [remark.is_misfit for remark in robot.remarks()] == [True]
             with closing(robot_end(transport, About("robot", "CartPole", "aa", "in lockstep"))):
                 assert "the robot runs in lockstep" in " ".join(said(policy, lambda found: "lockstep" in " ".join(found)))
+                assert "Dog" not in " ".join(remark.text for remark in policy.remarks())
+
+
+def test_over_ros_a_scenario_of_another_name_fits_if_its_fields_do() -> None:
+    pytest.importorskip("cyclonedds")
+    transport = Transport(domain=79)
+    with closing(policy_end(transport)), closing(robot_end(transport, About("robot", "Cart", "bb", "at speed 1"))) as robot:
+        assert said(robot) == ["the policy of CartPole at the other end is of another scenario than this robot of Cart"]
+        assert not robot.remarks()[0].is_misfit
 
 
 def test_a_listener_that_asks_for_reliable_sensor_data_is_noticed() -> None:

@@ -94,6 +94,26 @@ def test_a_policy_acts_for_a_robot_over_ros_1_and_a_second_one_is_refused(master
 
 
 @needs_ros
+def test_after_the_table_the_process_ends_at_once_and_a_further_interrupt_prints_nothing(master: dict[str, str], tmp_path: Path) -> None:
+    bundle = written(tmp_path / "bundle", "cartpole")
+    for further in (False, True):
+        policy = started(master, "deepbots_cli", "serve", bundle, "--ros1", "--seconds", 60)
+        assert policy.stderr is not None
+        assert policy.stdout is not None
+        assert "it waits for" in policy.stderr.readline()
+        policy.send_signal(2)
+        assert "ROS 1, master" in policy.stdout.readline()
+        ended = time.monotonic()
+        if further:
+            time.sleep(0.05)
+            policy.send_signal(2)
+        assert "Traceback" not in policy.stderr.read()
+        policy.wait(30)
+        assert time.monotonic() - ended < 3.0
+        policy.communicate()
+
+
+@needs_ros
 def test_all_message_types_of_ros_1_carry_their_parts() -> None:
     code = f"""
 import sys; sys.path.append({SYSTEM!r})

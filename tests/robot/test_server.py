@@ -98,11 +98,13 @@ class World:
     def __init__(self, *, output: Output | None = None, **settings: Any) -> None:
         free = np.full(2, np.inf)
         self.events: list[tuple[str, str]] = []
+        self.logged: list[tuple[str, float]] = []
         self.line, self.policy = Line(), Doubles()
         output = output or Output(DRIVE, np.full(2, -5.0), np.full(2, 5.0), free, np.array(SAFE))
         self.server = Server(self.policy, INPUTS, [output], self.line, RATE, clock=lambda: self.line.now, log=self, **settings)
 
-    def step(self, *_: object) -> None: ...
+    def step(self, stamp: float, values: object, commands: object, answer: float, posture: str, ages: Mapping[str, float] = {}) -> None:
+        self.logged.append((posture, answer))
 
     def event(self, stamp: float, kind: str, text: str) -> None:
         self.events.append((kind, text))
@@ -358,6 +360,41 @@ def test_damaged_bytes_of_ros_messages_crash_nothing() -> None:
         world.line.coming.append((100.0 + number / RATE, arrival))
         world.run(100.0 + number / RATE)
     assert all(math.isfinite(seen) and abs(seen) <= 1.02 for seen in world.policy.seen)
+
+
+def test_the_log_has_the_answer_times_of_the_report() -> None:
+    """A step that bridges a missing value answers nothing, however old the last value is."""
+    world = World()
+    answered = world.policy.step
+
+    def slowly(values: Mapping[str, Any]) -> Mapping[str, Array]:
+        world.line.now += 0.002
+        return answered(values)
+
+    world.policy.step = slowly  # type: ignore[method-assign]
+    for step in range(50):
+        if step % 10:
+            world.line.put(100.0 + step / RATE, 0.001)
+    world.run(101.0)
+    report = world.server.report()
+    assert report["held_steps"] > 1
+    found = [answer for posture, answer in world.logged if posture == "policy"]
+    assert len(found) == report["steps"]
+    assert found.count(0.0) == report["held_steps"]
+    assert max(found) == report["answer_max"]
+
+
+def test_in_lockstep_a_robot_that_is_quiet_is_remarked_on_once_each_time() -> None:
+    world = World(lockstep=True)
+    world.run(120.0)
+    assert world.events == []  # nobody has begun
+    for begun in (120.0, 140.0):
+        world.line.put(begun, 0.1)
+        world.run(begun + 4.9)
+        assert len(world.events) == (begun == 140.0)
+        world.run(begun + 19.0)
+    assert world.events == [("quiet", "no values for 5 s: does the robot still run?")] * 2
+    assert len(world.line.sent) == 2
 
 
 # The log

@@ -99,6 +99,14 @@ def test_a_robot_that_falls_silent_ends_the_episode(tmp_path: Path) -> None:
         try_robot(program, transport, lambda world: named_driver(world, "rocking"), seconds=0.1)
 
 
+def test_a_robot_that_is_not_there_is_named_after_5_s(tmp_path: Path) -> None:
+    transport, program = Transport(zmq=f"ipc://{tmp_path}/link"), api.compile("pit_escape").program
+    notes: list[str] = []
+    with pytest.raises(UsageError, match="no value of"):
+        try_robot(program, transport, lambda world: named_driver(world, "rocking"), seconds=5.5, note=notes.append)
+    assert notes[-1] == "no step in 5 s: there is no value of roller.gyro, roller.accel yet"
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -63,7 +63,7 @@ def command(
         option(
             "--driver NAME",
             "Who acts: `random`, `zero` (the middle of each range and the first option of each choice), a script of the scenario, or"
-            " actions to repeat. By default `random`; with --robot and a run, its policy.",
+            " actions to repeat. By default `random`; with --robot there is no default for a scenario, and a run acts with its policy.",
         ),
     ] = None,
     episodes: Annotated[int | None, integer("--episodes N", f"Number of episodes, {COUNT} by default; with --robot 1.")] = None,
@@ -76,7 +76,8 @@ def command(
         str | None,
         option(
             "--robot ADDRESS",
-            "Act for the robot at an address in place of the simulated one: ros, ros:DOMAIN, ros1, tcp://HOST:PORT, ipc://FILE or ws://HOST:PORT.",
+            "Act for the robot at an address in place of the simulated one: ros, ros:DOMAIN, ros1, tcp://HOST:PORT, ipc://FILE or"
+            " ws://HOST:PORT. A scenario needs --driver with it; of a run, the policy acts.",
             ROBOT,
         ),
     ] = None,

@@ -135,11 +135,7 @@ def _list_log(path: Path, *, as_json: bool) -> None:
         for each in found
     ]
     data = {"log": path, "episodes": [{**vars(each), "events": [event._asdict() for event in each.events]} for each in found]}
-    after = (
-        [f"deepbots view {path}", f"deepbots diagnose {path} --episode {found[0].number}", f"deepbots transfer RUN --log {path}"]
-        if found
-        else []
-    )
+    after = [f"deepbots view {path}", f"deepbots diagnose {path} --episode {found[0].number}", f"deepbots transfer RUN --log {path}"]
     terminal.show(data, f"{path}: the log of a robot", table(rows), as_json=as_json, next_commands=after)
 
 
