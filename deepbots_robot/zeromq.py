@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import socket
+import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
@@ -85,7 +86,7 @@ class ZmqLink(MessageLink):
 
 def _is_taken(address: str) -> bool:
     """Whether somebody listens at a socket file."""
-    if not address.startswith("ipc://"):
+    if sys.platform == "win32" or not address.startswith("ipc://"):  # there, Python has no socket files
         return False
     with socket.socket(socket.AF_UNIX) as probe:
         probe.settimeout(0.5)
