@@ -94,6 +94,7 @@ def test_a_policy_acts_for_a_robot_over_ros_1_and_a_second_one_is_refused(master
 
 
 @needs_ros
+@pytest.mark.slow
 def test_after_the_table_the_process_ends_at_once_and_a_further_interrupt_prints_nothing(master: dict[str, str], tmp_path: Path) -> None:
     bundle = written(tmp_path / "bundle", "cartpole")
     for further in (False, True):

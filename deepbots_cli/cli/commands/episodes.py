@@ -150,7 +150,7 @@ def command(
     compiled = api.compile(scenario, overrides=with_engine(overrides, engine), permissions=permissions)
     terminal.note_warnings(compiled.findings, scenario)
     program = compiled.program.variant(case, stage)
-    driver, episodes = driver or RANDOM, episodes or COUNT
+    driver, episodes = RANDOM if driver is None else driver, episodes or COUNT
     with closing(api.make(program, permissions=permissions)) as environment:
         name = environment.engine.name
         acting = named_driver(environment, driver)
