@@ -302,7 +302,7 @@ def build(
 
     Args:
         fixed: The parameters that no episode draws.
-        wrap: Returns what stands in for the engine; copies of the environment in other processes lack it.
+        wrap: Replaces the engine of this environment. Copies of the environment in other processes keep the original one.
     """
     if program.python_functions and not permissions.code:
         names = ", ".join(map(str, program.python_functions))

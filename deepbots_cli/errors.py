@@ -16,6 +16,7 @@ Any other exception that reaches the user is a bug of deepbots.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -66,6 +67,20 @@ class MissingExtraError(UsageError):
     def __init__(self, extra: str, purpose: str) -> None:
         self.extra = extra
         super().__init__(f"{purpose} needs the '{extra}' extra; {install_hint(extra)}")
+
+
+def extra_with(module: str) -> str | None:
+    """The smallest extra that requires the package of a module, by the metadata of the installation; None if there is none."""
+    import re  # imported only for this message
+    from importlib.metadata import PackageNotFoundError, requires
+
+    packages: dict[str, list[str]] = {}
+    with suppress(PackageNotFoundError):
+        for requirement in requires("deepbots-cli") or ():
+            if found := re.match(r"([\w.-]+).*\bextra == .([\w-]+)", requirement):
+                packages.setdefault(found[2], []).append(found[1].lower().replace("-", "_"))
+    fitting = [extra for extra, names in packages.items() if module.lower() in names]
+    return min(fitting, key=lambda extra: len(packages[extra]), default=None)
 
 
 def install_hint(extra: str, origin: str | None = None) -> str:

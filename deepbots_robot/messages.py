@@ -11,6 +11,7 @@ Values that the robot cannot measure may come in messages of the robot `supervis
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
@@ -71,7 +72,7 @@ def write(
     return msgspec.msgpack.encode(message) if packed else msgspec.json.encode(message)
 
 
-class MessageLink:
+class MessageLink(ABC):
     """What links with these messages share: they answer in the format that the other end uses."""
 
     def __init__(self, receives: Sequence[Field], sends: Sequence[Field], about: About | None) -> None:
@@ -118,6 +119,6 @@ class MessageLink:
         is_introduction = arrival.about is not None and arrival.kind == "fields" and not arrival.fields
         return [] if is_useless or is_introduction else [arrival]
 
+    @abstractmethod
     def _write(self, content: bytes) -> None:
         """Send a message, or drop it if nobody is there."""
-        raise NotImplementedError

@@ -28,7 +28,7 @@ _LONGEST_WAIT = 0.1  # s, so that a signal is noticed
 _LOOK = 1.0
 """Seconds between two looks at what is known of the other end."""
 QUIET = 5.0
-"""Seconds without a value in lockstep, or without a first step, after which a person is told."""
+"""Seconds without a value in lockstep, or without a first step, after which the server prints a remark."""
 _MOST_REMARKS = 100
 
 

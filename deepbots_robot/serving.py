@@ -286,17 +286,10 @@ class Notes:
         self._log, self._note = log, note
         self._said: dict[str, float] = {}
 
-    def step(
-        self,
-        stamp: float,
-        values: Mapping[str, Array],
-        commands: Mapping[str, Array],
-        answer: float,
-        posture: str,
-        ages: Mapping[str, float] = {},
-    ) -> None:
+    def step(self, *step: Any, **rest: Any) -> None:
+        """The same arguments as `LogWriter.step`."""
         if self._log is not None:
-            self._log.step(stamp, values, commands, answer, posture, ages)
+            self._log.step(*step, **rest)
 
     def event(self, stamp: float, kind: str, text: str) -> None:
         if self._log is not None:

@@ -16,7 +16,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, BinaryIO, TextIO
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError, install_hint
+from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError, extra_with, install_hint
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -25,14 +25,6 @@ FAILED, WRONG_USAGE, INTERNAL_ERROR, INTERRUPTED = 1, 2, 3, 130
 """The same for every command: findings or a result that was not met; wrong usage or a missing file; a fault of deepbots itself, which
 `lint` also reports as DB903 of the file; Ctrl-C or SIGTERM."""
 
-_EXTRAS = {
-    "sim": ("gymnasium", "mujoco", "numpy", "PIL", "scipy", "shapely", "yourdfpy"),
-    "train": ("filelock", "imageio", "stable_baselines3", "tensorboard", "torch"),
-    "view": ("matplotlib", "mcap", "trimesh", "viser"),
-    "robot": ("msgspec", "onnxruntime"),
-    "export": ("onnx", "safetensors"),
-}
-"""The modules of extras that a command may need without a message of its own."""
 _DISK_ERRORS = (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
@@ -73,7 +65,7 @@ def _exit_code(run: Callable[[], object]) -> int:
         return WRONG_USAGE
     except ModuleNotFoundError as error:
         module = (error.name or "").partition(".")[0]
-        extra = next((extra for extra, modules in _EXTRAS.items() if module in modules), None)
+        extra = extra_with(module)
         if extra is None:
             return _fault(error)
         terminal.print_error(f"this needs '{module}' of the '{extra}' extra; {install_hint(extra)}")

@@ -40,7 +40,7 @@ not a tenth faster. Each algorithm is trained with {len(SEEDS)} seeds, {SEEDS[0]
 - **Held out.** The best policy of each training runs 100 episodes with starts that no training uses.
 - [**Intervals**](statistics.md) are of 95 %, over seeds and episodes: the wider one of the interval over all episodes together and of
   Student's interval over the means of the seeds. Three seeds show little about rare failures of a training.
-- **Until solved.** The median over the seeds, with the least and the largest. A seed that is not solved counts as longer than any other.
+- **Until solved.** The median over the seeds, with the least and the largest. A seed that does not solve the task ranks last.
   CPU time is that of the training with its evaluations, without the start of Python. "CPU of a training" is the mean over the seeds of
   the whole command. CPU times vary with the machine, and are up to a half longer beside other work. Steps and simulated hours do not
   vary.
