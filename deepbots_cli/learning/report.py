@@ -291,9 +291,9 @@ def progress_values(progress: TrainingProgress, speed: float) -> dict[str, str]:
         goal = f" of {solved.mean_return:g}" if solved and solved.mean_return is not None else ""
         rows["return"] = f"{progress.mean_return:.1f}{goal}"
     if progress.evaluated_success is not None:
-        rows["evaluation"] = f"{progress.evaluated_success:.0%}"
+        rows["last evaluation"] = f"{progress.evaluated_success:.0%} success"
     if progress.best_return is not None:
-        rows["best"] = f"{progress.best_return:.1f}"
+        rows["best evaluation"] = f"return {progress.best_return:.1f}"
     if progress.stage:
         rows["stage"] = progress.stage
     rows["episodes"] = f"{progress.episodes:,}"
@@ -318,16 +318,6 @@ def duration(seconds: float) -> str:
     return f"{whole // 60}:{whole % 60:02} min" if whole < 3600 else f"{whole // 3600}:{whole % 3600 // 60:02} h"
 
 
-_LABELS = {
-    "success": "success",
-    "return": "mean return",
-    "evaluation": "success in the last evaluation",
-    "best": "best evaluation",
-    "stage": "stage",
-    "episodes": "episodes",
-}
-
-
 def _table(progress: TrainingProgress, speed: float, elapsed: float) -> Group:
     """The display of a terminal: a bar, and a row for each value."""
     from rich.console import Group
@@ -348,5 +338,5 @@ def _table(progress: TrainingProgress, speed: float, elapsed: float) -> Group:
     rows.add_column(no_wrap=True)
     rows.add_column(no_wrap=True, overflow="ellipsis", max_width=60)
     for name, value in values.items():
-        rows.add_row(Text(_LABELS.get(name, name), style="dim"), Text(value))
+        rows.add_row(Text(name, style="dim"), Text(value))
     return Group(head, rows)

@@ -12,9 +12,7 @@ from PIL import Image
 
 from deepbots_cli import api
 from deepbots_cli.cli.commands.bench import measure
-from deepbots_cli.cli.commands.train import _name_faster_engine as name_faster_engine
-from deepbots_cli.cli.throughput import faster_engine
-from deepbots_cli.document import Permissions
+from deepbots_cli.cli.throughput import faster_engine, note_faster_engine
 from deepbots_cli.learning.sb3 import defaults
 
 PLAIN = "train={algorithm: PPO, total_timesteps: 1000, network: {activation: relu}}"
@@ -361,18 +359,19 @@ def test_the_engine_that_steps_a_world_fastest_is_named_with_its_ratio(deepbots)
     speeds = r"\([\d,]+ against [\d,]+ steps/s\)"
     line = rf"mujoco steps this world (\d+\.\d) times as fast as pybullet {speeds}\. To use it, add the line `engine: mujoco`"
     assert re.search(line, deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1").out)
-    assert re.search(line, deepbots("new", "mine", "--template", "cartpole").err)
     found = json.loads(deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1", "--json").out)["faster_engine"]
     assert (found["engine"], found["used"]) == ("mujoco", "pybullet")
     assert found["steps_per_second"] > 1.5 * found["used_steps_per_second"]
 
 
-def test_a_training_that_is_long_names_the_faster_engine_unless_one_is_chosen(capfd):
+def test_the_faster_engine_is_named_where_it_saves_half_a_minute_and_none_is_chosen(capfd):
     pytest.importorskip("pybullet")
-    name_faster_engine(api.compile("cartpole").program, None, permissions=Permissions())
+    cartpole, chosen = api.compile("cartpole").program, api.compile("cartpole", overrides=["world.engine=pybullet"]).program
+    note_faster_engine(cartpole, 10_000_000)
     assert "note: mujoco steps this world" in capfd.readouterr().err
-    name_faster_engine(api.compile("cartpole").program, 600, permissions=Permissions())
-    name_faster_engine(api.compile("cartpole", overrides=["world.engine=pybullet"]).program, None, permissions=Permissions())
+    note_faster_engine(cartpole, 600)
+    note_faster_engine(cartpole, 20_000)
+    note_faster_engine(chosen, 10_000_000)
     assert "mujoco" not in capfd.readouterr().err
 
 

@@ -246,8 +246,10 @@ def command(
         if progress:
             _announce(compiled, f"seeds {seeds}" if seeds else f"seed {seed or 0}", timesteps, full=full)
             if not as_json:
+                from deepbots_cli.cli import throughput
+
                 _name_missing_search(compiled.program, scenario)
-                _name_faster_engine(compiled.program, timesteps, permissions=permissions)
+                throughput.note_faster_engine(compiled.program, timesteps, permissions=permissions)
         if listed is not None:
             with processes.spread(workers, address, len(listed), quiet=quiet) as spread:
                 announce = None if quiet else _announce_seed
@@ -349,20 +351,9 @@ def _announce(compiled: api.Compiled, seeds: str, timesteps: int | None, *, full
 def _name_missing_search(program: Program, scenario: str) -> None:
     """Say that no search for exploits of the reward was made from this folder."""
     if not exploits.was_searched(program):
-        terminal.note(f"the reward was never searched for exploits: deepbots lint {quote(scenario)} --exploits")
-
-
-_MEASURED_FROM_STEPS = 20_000
-"""Timesteps from which on a training is long enough to measure first which engine is faster."""
-
-
-def _name_faster_engine(program: Program, timesteps: int | None, permissions: Permissions) -> None:
-    """Say which engine steps the world faster than the default one, before a long training."""
-    training = program.agent.training
-    if training is not None and (timesteps or training.total_timesteps) >= _MEASURED_FROM_STEPS:
-        from deepbots_cli.cli import throughput
-
-        throughput.note_faster_engine(program, permissions=permissions)
+        terminal.note(
+            f"the reward was not searched for exploits, which are high returns without the task: deepbots lint {quote(scenario)} --exploits"
+        )
 
 
 @contextmanager
