@@ -6,6 +6,7 @@ import json
 import posixpath
 import re
 from collections.abc import Iterator
+from html import unescape
 from html.parser import HTMLParser
 from importlib import import_module
 from pathlib import Path
@@ -181,6 +182,14 @@ def test_links_and_anchors_of_the_built_site_lead_somewhere(built_site: Path) ->
     assert broken == []
 
 
+@pytest.mark.slow
+def test_a_line_of_a_page_that_begins_with_a_percent_sign_is_text(built_site: Path) -> None:
+    for place in ("install", "scenarios/quadruped"):
+        html = re.sub(r"<[^>]+>", "", (built_site / f"{place}.html").read_text(encoding="utf-8"))
+        lines = re.findall(r"^%[^`\n]+", (built_site / f"{place}.md").read_text(encoding="utf-8"), re.MULTILINE)
+        assert lines and all(unescape(line) in unescape(html) for line in lines)
+
+
 SEARCHES = {
     "own robot": "Your own robot",
     "own urdf": "Your own robot",
@@ -196,6 +205,12 @@ SEARCHES = {
     "door hinge": "Robots",
     "pendulum without motor": "Robots",
     "domain randomization": "Glossary",
+    "install windows": "Install",
+    "success rate interval": "Statistics of a result",
+    "real robot": "To a real robot",
+    "curriculum stages": "Train",
+    "hindsight": "Train",
+    "degrees radians": "Units and when a value is known",
 }
 """What a reader types, and the title of a page that is among the first three results."""
 
