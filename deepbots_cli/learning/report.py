@@ -125,9 +125,11 @@ class ProgressReporter(Reporter):
         tenth, since = 10 * progress.steps // progress.total_steps, now - self._shown
         evaluated = progress.evaluations > self._evaluations and since >= EVALUATION_INTERVAL_S
         if tenth > self._tenth or evaluated or since >= LINE_INTERVAL_S:
-            self._tenth, self._evaluations, self._shown = tenth, progress.evaluations, now
             values = progress_values(progress, speed)
             values.pop("episodes", None)
+            if progress.evaluations == self._evaluations:  # said by an earlier line
+                values = {name: text for name, text in values.items() if not name.endswith("evaluation")}
+            self._tenth, self._evaluations, self._shown = tenth, progress.evaluations, now
             found = [text if name in ("speed", "stage", "remaining") else f"{name} {text}" for name, text in values.items()]
             print(f"{progress.steps:,} of {progress.total_steps:,} steps", *found, sep="  ", file=self._stream, flush=True)
 

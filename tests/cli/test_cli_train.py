@@ -56,10 +56,7 @@ def test_a_training_ends_with_a_verdict_and_what_to_do_next(trained, tmp_path):
     assert "solved: unknown, because the criterion needs" in trained.out
     assert "deepbots render mine -o mine.mp4" in trained.err
     assert "tensorboard --logdir mine" in trained.err
-    assert (
-        "the reward was not searched for exploits, which are high returns without the task: deepbots lint cartpole --exploits\n"
-        in trained.err
-    )
+    assert "`deepbots lint cartpole --exploits` looks for ways to earn this reward without doing the task\n" in trained.err
     assert json.loads((tmp_path / "mine" / "run.json").read_text())["status"] == "finished"
 
 

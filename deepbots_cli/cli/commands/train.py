@@ -349,11 +349,9 @@ def _announce(compiled: api.Compiled, seeds: str, timesteps: int | None, *, full
 
 
 def _name_missing_search(program: Program, scenario: str) -> None:
-    """Say that no search for exploits of the reward was made from this folder."""
+    """Name the search for exploits of the reward if it was not made from this folder."""
     if not exploits.was_searched(program):
-        terminal.note(
-            f"the reward was not searched for exploits, which are high returns without the task: deepbots lint {quote(scenario)} --exploits"
-        )
+        terminal.note(f"tip: `deepbots lint {quote(scenario)} --exploits` looks for ways to earn this reward without doing the task")
 
 
 @contextmanager
