@@ -123,7 +123,7 @@ def training_text(result: TrainingResult) -> str:
     if result.mean_return is not None:
         rows["mean return"] = f"{result.mean_return:.1f} over the most recent training episodes, with exploration"
     if result.success_rate is not None:
-        rows["success rate"] = f"{result.success_rate:.0%}"
+        rows["success rate"] = f"{result.success_rate:.0%} of these episodes"
     at = result.solved_at
     if at is not None:
         took = f"{at.simulated_hours:.3f} simulated h, {at.cpu_seconds:.1f} s of CPU time"

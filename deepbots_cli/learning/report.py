@@ -302,7 +302,8 @@ def progress_values(progress: TrainingProgress, speed: float) -> dict[str, str]:
     if speed >= 1.0:
         rows["speed"] = f"{speed:,.0f} steps/s"
     if speed > 0.0 and progress.steps < progress.total_steps:
-        rows["remaining"] = f"{duration((progress.total_steps - progress.steps) / speed)} to go"
+        most = "at most " if progress.solved else ""
+        rows["remaining"] = f"{most}{duration((progress.total_steps - progress.steps) / speed)} to go"
     return rows
 
 

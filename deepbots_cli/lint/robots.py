@@ -1,4 +1,6 @@
-"""Robots: commands and actuators (DB312 to DB315, DB319), limits in degrees (DB317), and rays that pass over everything (DB615)."""
+"""Robots: commands and actuators (DB312 to DB315, DB319), wheels that do not move a robot (DB322), limits in degrees (DB317), and rays that
+pass over everything (DB615).
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ from deepbots_cli.expressions.types import walk as walk_typed
 from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Frame, Triple, quaternion
 from deepbots_cli.lint.context import RuleContext, Simulation
-from deepbots_cli.lint.simulation import ARENA, MAX_SINK, Clearance, SimulationPosition, UnreachedPose, casts_rays
+from deepbots_cli.lint.simulation import ARENA, MAX_SINK, Clearance, SimulationPosition, UnreachedPose, casts_rays, driven_wheels
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Thrust
 from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.meshes import mesh_bounds
@@ -40,6 +42,10 @@ _FOOT_HEIGHT_M = 0.005
 """m; wheels and casters that end within so much of the lowest one carry the robot."""
 _RESTING_GAP_M = 0.05
 """m; a robot that is placed so close to its resting height comes to rest there."""
+_MIN_WHEEL_TURN = pi
+"""rad that a driven wheel has turned where its robot should have moved."""
+_MAX_STAY_M, _MAX_STAY_ANGLE = 0.01, radians(5.0)
+"""m, rad; a robot that slips moves by less."""
 _MAX_NAMES = 4
 """Joints that a finding lists."""
 _MAX_JOINT_POSITIONS = 12
@@ -320,6 +326,44 @@ def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
         "the joints may move far before the link reaches the pose",
     )
     return Finding("DB315", span, headline, help, notes=notes)
+
+
+def robot_stays(simulation: Simulation) -> Iterator[Finding]:
+    """DB322: no action moves or turns a robot, although its wheels turn: they slip, or do not touch the ground."""
+    if not simulation.is_complete:
+        return
+    for robot, rolling in simulation.report.rolling.items():
+        if rolling.wheel > _MIN_WHEEL_TURN and rolling.distance < _MAX_STAY_M and rolling.turn < _MAX_STAY_ANGLE:
+            body = simulation.analysis.body(robot)
+            wheels = driven_wheels(next(each for each in simulation.program.robots if each.name == robot), body.model)
+            moved = ceil(rolling.distance * 1000)
+            headline = f"`{robot}` stays in its place although its wheels turn: it moves by less than {moved} mm"
+            helps = "let the driven wheels carry the robot: raise its skids and casters, or reduce their friction under `links`"
+            yield Finding(
+                "DB322",
+                simulation.values.key_span(("robots", robot)),
+                headline,
+                helps,
+                notes=(*_links_beside_wheels(body.model, wheels), simulation.summary),
+            )
+
+
+def _links_beside_wheels(model: RobotModel, wheels: tuple[str, ...]) -> Iterator[str]:
+    """A sentence on each link that reaches the ground where the driven wheels do, or before; with all joints at 0, without meshes."""
+    where = link_frames(model)
+    shapes = [(link.name, part) for link in model.links for part in link.collisions if not isinstance(part.shape, Mesh)]
+    bottoms: dict[str, float] = {}
+    for link, part in shapes:
+        box = footprint.bounds_of_shape(part.shape, frames.compose(where[link], frames.frame(part.origin)))
+        bottoms[link] = min(bottoms.get(link, inf), box[0][2])
+    driven = {model.joint(wheel).child for wheel in wheels}
+    lowest = min((bottoms.get(link, inf) for link in driven), default=inf)
+    for link, bottom in bottoms.items():
+        if link not in driven and bottom < lowest + _SAME_HEIGHT_M < inf:
+            gap = lowest - bottom
+            yield f"`{link}` reaches " + (
+                f"{gap * 1000:.2g} mm lower than the driven wheels" if gap > _SAME_HEIGHT_M else "as low as the driven wheels"
+            )
 
 
 # Limits of the robot file
@@ -681,5 +725,6 @@ STATIC_RULES = (
 )
 SIMULATED_RULES = (
     pose_out_of_reach,
+    robot_stays,
     measured_rays_meet_nothing,
 )

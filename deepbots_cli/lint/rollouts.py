@@ -13,7 +13,7 @@ from contextlib import closing
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import count, islice, repeat
-from math import atan2, dist, hypot, inf, radians
+from math import atan2, dist, hypot, inf, radians, remainder, tau
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,9 +32,11 @@ from deepbots_cli.lint.simulation import (
     MAX_SINK,
     RANDOM,
     Clearance,
+    Rolling,
     Rollout,
     UnreachedPose,
     casts_rays,
+    driven_wheels,
     simulation_plan,
     variant_plan,
 )
@@ -81,6 +83,7 @@ class Simulator:
         self._plan = simulation_plan(program)
         self._counters: dict[str, Counter] = {}
         self._rays = RayWatch(program)
+        self._wheels = WheelWatch(program)
 
     def run(self) -> None:
         """Carry out the plan, until something stops it."""
@@ -100,6 +103,7 @@ class Simulator:
         self._write({"still": self._constant_numbers(), "silent": self._silent()})
         depths = [[*both, depth] for both, depth in self._rays.depths.items() if 0.0 < depth < inf]
         self._write({"clearances": [[*both, *clearance] for both, clearance in self._rays.clearances.items()], "depths": depths})
+        self._write({"rolling": self._wheels.robots})
 
     def _build(self, program: Program) -> Supervisor:
         self._write({"at": ["build", 0]})
@@ -184,11 +188,13 @@ class Simulator:
         taken = self._steps(environment, rollout)
         next(taken)
         speeds, check_rays = SpeedWatch(environment), self._rays.watch(environment.engine)
+        check_wheels = self._wheels.watch(environment.engine)
         rewards: list[float] = []
         for step in taken:
             rewards.append(step.reward)
             counter.add(step.observation, step.info["reward_terms"])
             check_rays()
+            check_wheels()
             violation = speeds.check(step.number * environment.scenario.period)
             if speeds.new_maximum:
                 self._write({"fast": speeds.new_maximum})
@@ -425,6 +431,46 @@ class SpeedWatch:
     def lost(self) -> list[str]:
         """The bodies whose motion is no longer a number."""
         return [watched.body for watched in self._watched if not math.isfinite(sum(map(sum, (*watched.motion()[0], *watched.motion()[1]))))]
+
+
+# Wheels
+
+
+class WheelWatch:
+    """Watches robots that stand on driven wheels. `robots` maps each to its largest motion so far; it is empty for teams."""
+
+    def __init__(self, scenario: Program) -> None:
+        models = {body.name: body.model for body in scenario.world.robots if not body.fixed_base and scenario.agent.copies is None}
+        self._wheels = {robot.name: driven_wheels(robot, models[robot.name]) for robot in scenario.robots if robot.name in models}
+        self.robots = {name: Rolling(0.0, 0.0, 0.0) for name, wheels in self._wheels.items() if wheels}
+
+    def watch(self, engine: Engine) -> Callable[[], None]:
+        """A function that compares with the present state of an engine, to be called in each step."""
+        checks = [self._watched(engine, robot) for robot in self.robots]
+
+        def check() -> None:
+            for each in checks:
+                each()
+
+        return check
+
+    def _watched(self, engine: Engine, robot: str) -> Callable[[], None]:
+        pose, states = engine.pose(robot), engine.joint_states(robot, self._wheels[robot])
+        (x, y, _), attitude = pose()
+        heading, positions = frames.roll_pitch_yaw(attitude)[2], [state[0] for state in states()]
+
+        def check() -> None:
+            place, attitude = pose()
+            turn = abs(remainder(frames.roll_pitch_yaw(attitude)[2] - heading, tau))
+            wheel = max(abs(state[0] - before) for state, before in zip(states(), positions, strict=True))
+            known = self.robots[robot]
+            self.robots[robot] = Rolling(
+                max(known.distance, hypot(place[0] - x, place[1] - y)),
+                max(known.turn, turn),
+                max(known.wheel, wheel),
+            )
+
+        return check
 
 
 # Arms

@@ -22,8 +22,9 @@ from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.program import Program
-from deepbots_cli.program.robots import Sensor
+from deepbots_cli.program.robots import Motor, Robot, Sensor
 from deepbots_cli.program.task import idle_action
+from deepbots_cli.robots.model import RobotModel
 
 # What is simulated
 
@@ -205,8 +206,25 @@ class Clearance(NamedTuple):
     tallest: str
 
 
+class Rolling(NamedTuple):
+    """Of a robot since the start of an episode: the largest distance (m), change of heading (rad), and turn of a driven wheel (rad)."""
+
+    distance: float
+    turn: float
+    wheel: float
+
+
 def casts_rays(sensor: Sensor) -> bool:
     return sensor.beams is not None and sensor.beams.reach > 0.0
+
+
+def driven_wheels(robot: Robot, model: RobotModel) -> tuple[str, ...]:
+    """The continuous joints with a velocity or torque motor; none for a robot with motors of another kind, or with rotors."""
+    motors = [command.actuator for command in robot.commands]
+    if not all(isinstance(motor, Motor) and motor.kind != "position_motor" for motor in motors):
+        return ()
+    driven = dict.fromkeys(joint for motor in motors if isinstance(motor, Motor) for joint in motor.joints)
+    return tuple(joint for joint in driven if model.joint(joint).type == "continuous")
 
 
 class NumberStatistics(NamedTuple):
@@ -242,8 +260,8 @@ class SimulationReport:
 
     `endings_at_reset` maps endings to the seeds with which they hold at the start; `constant_numbers` and `zero_terms` are the places
     of the numbers that never changed and of the terms that were always 0. `clearances` and `depths` are about sensors whose rays met
-    nothing: how high they passed over all bodies, and how far below the ground (m) they began. `done` says whether the plan was completed,
-    `fault` which exception of deepbots ended it.
+    nothing: how high they passed over all bodies, and how far below the ground (m) they began. `rolling` is about robots on driven
+    wheels. `done` says whether the plan was completed, `fault` which exception of deepbots ended it.
     """
 
     where: SimulationPosition = SimulationPosition("build", 0, 0)
@@ -258,6 +276,7 @@ class SimulationReport:
     zero_terms: Sequence[int] = ()
     clearances: dict[tuple[str, str], Clearance] = field(default_factory=dict)
     depths: dict[tuple[str, str], float] = field(default_factory=dict)
+    rolling: dict[str, Rolling] = field(default_factory=dict)
     stop: Mapping[str, Any] | None = None
     halt: Halt | None = None
     fault: str | None = None
@@ -289,6 +308,8 @@ class SimulationReport:
             case {"clearances": rows, "depths": depths}:
                 self.clearances = {(robot, sensor): Clearance(*clearance) for robot, sensor, *clearance in rows}
                 self.depths = {(robot, sensor): depth for robot, sensor, depth in depths}
+            case {"rolling": Mapping() as robots}:
+                self.rolling = {robot: Rolling(*found) for robot, found in robots.items()}
             case {"stop": Mapping() as stop}:
                 self.stop = stop
             case {"fault": str(fault)}:

@@ -105,7 +105,7 @@ def _content(path: Path, data: bytes) -> tuple[Mapping[str, str] | None, dict[st
         from mcap.stream_reader import StreamReader, breakup_chunk
         from zstandard import ZstdError, get_frame_parameters
     except ModuleNotFoundError as error:
-        raise MissingExtraError("view", "a recording") from error
+        raise MissingExtraError("sim", "a recording") from error
     metadata: Mapping[str, str] | None = None
     files: dict[str, bytes] = {}
     topics: dict[int, str] = {}

@@ -75,7 +75,7 @@ class RobotLog:
             from deepbots_robot.log import read_attached, read_log
             from deepbots_robot.model import BundleError, decode
         except ModuleNotFoundError as error:
-            raise MissingExtraError("view", "the log of a robot") from error
+            raise MissingExtraError("sim", "the log of a robot") from error
         try:
             files = read_attached(path)
             description = files.pop("bundle.json", None)

@@ -260,7 +260,7 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
     try:
         from matplotlib.figure import Figure
     except ModuleNotFoundError as error:
-        raise MissingExtraError("view", "a plot") from error
+        raise MissingExtraError("train", "a plot") from error
     groups: dict[str, list[TrainingLog]] = {}
     for log in logs:
         groups.setdefault(log.group, []).append(log)

@@ -241,7 +241,7 @@ class RecordingWriter:
         try:
             from mcap.writer import Writer
         except ModuleNotFoundError as error:
-            raise MissingExtraError("view", "a recording") from error
+            raise MissingExtraError("sim", "a recording") from error
         compiled = player.opened.checked()
         self._player, self._encoder = player, TopicEncoder(player)
         self._begun, self._channels = 0, dict[str, int]()

@@ -78,6 +78,62 @@ def test_a_pose_out_of_reach_is_reported_beside_the_error_that_it_may_explain(pr
     assert [finding.code for finding in found] == ["DB309", "DB315"]
 
 
+@pytest.mark.parametrize(
+    ("skids", "height", "notes"),
+    [
+        ((0.05,), 0.0, []),
+        ((0.05, -0.05), -0.001, []),
+        ((0.05, -0.05), 0.002, ["`body` reaches 2 mm lower than the driven wheels"]),
+    ],
+)
+def test_a_robot_that_stands_on_its_skids_stays_although_its_wheels_turn(
+    tmp_path: Path, skids: tuple[float, ...], height: float, notes: list[str]
+) -> None:
+    (tmp_path / "car.urdf").write_text(wheeled(skids, height))
+    (tmp_path / "car.yaml").write_text(CAR)
+    found = list(simulate(api.load(tmp_path / "car.yaml")).findings)
+    assert [finding.code for finding in found] == ["DB322"] * bool(notes)
+    assert [note for finding in found for note in finding.notes[:-1]] == notes
+
+
+def wheeled(skids: tuple[float, ...], height: float) -> str:
+    """A robot on two driven wheels that stands on skids at these x, each `height` lower than the wheels."""
+
+    def link(name: str, mass: float, *shapes: str) -> str:
+        moment = 2e-3 * mass
+        inertia = (
+            f'<inertial><mass value="{mass}"/><inertia ixx="{moment}" iyy="{moment}" izz="{moment}" ixy="0" ixz="0" iyz="0"/></inertial>'
+        )
+        return f'<link name="{name}">{inertia}' + "".join(f"<collision>{shape}</collision>" for shape in shapes) + "</link>"
+
+    def wheel(name: str, y: float) -> str:
+        place = f'<parent link="body"/><child link="{name}"/><origin xyz="-0.03 {y} 0"/><axis xyz="0 1 0"/>'
+        tire = '<origin rpy="1.5708 0 0"/><geometry><cylinder radius="0.035" length="0.02"/></geometry>'
+        return link(name, 0.05, tire) + f'<joint name="{name}" type="continuous">{place}<limit effort="0.5" velocity="12"/></joint>'
+
+    spheres = [f'<origin xyz="{x} 0 -0.02"/><geometry><sphere radius="{0.015 + height}"/></geometry>' for x in skids]
+    box = '<geometry><box size="0.14 0.1 0.04"/></geometry>'
+    return f'<robot name="car">{link("body", 0.5, box, *spheres)}{wheel("left", 0.06)}{wheel("right", -0.06)}</robot>'
+
+
+CAR = """\
+deepbots: 1
+name: Car
+world: {timestep: 20 ms, substeps: 4, engine: mujoco}
+robots:
+  car:
+    urdf: car.urdf
+    sensors: {wheels: {type: joint_velocity, joints: [left, right]}}
+    actuators: {left: {type: velocity_motor, joint: left}, right: {type: velocity_motor, joint: right}}
+    apply: {left: one * 8 rad/s, right: other * 8 rad/s}
+action: {one: -1 .. 1, other: -1 .. 1}
+augment: {along: velocity(car).x}
+observation: {car.wheels: -8 .. 8 rad/s, along: -0.3 .. 0.3 m/s}
+reward: {onward: along / (m/s)}
+truncation: {max_steps: 100}
+"""
+
+
 def test_of_a_group_one_pair_is_told(probed: Probed) -> None:
     crates = "  crate: {count: 3, shape: box, size: 10 10 10 cm, mass: 1 kg}\n"
     (found,) = probed(f"objects:\n{crates}reset: {{place: {{crate: {{x: 0.3 m, spacing: 0 0.02 m}}}}}}\n")

@@ -256,7 +256,7 @@ def _check_simulator(option_name: str, fixing: bool) -> None:
         raise UsageError(f"{option_name} cannot be combined with --fix or --diff: its findings have no automatic fixes")
     require_simulator(f"lint {option_name}")
     if option_name == "--exploits" and find_spec("mcap") is None:
-        raise MissingExtraError("view", "a recording")
+        raise MissingExtraError("sim", "a recording")
 
 
 def _check_fixing(fix: bool, diff: bool, overrides: list[str] | None, names: Sequence[str]) -> None:

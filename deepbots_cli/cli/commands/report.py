@@ -60,7 +60,7 @@ def command(
     try:
         import matplotlib  # noqa: F401
     except ModuleNotFoundError as error:
-        raise MissingExtraError("view", "a report") from error
+        raise MissingExtraError("train", "a report") from error
     from deepbots_cli.insight import report as of_runs
     from deepbots_cli.insight import study as of_studies
 
