@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import re
 from itertools import product
-from math import cos, pi, sin
+from math import cos, dist, pi, sin
 
 import pytest
 
-from deepbots_cli import api
+from deepbots_cli import api, frames
 from deepbots_cli.cli.starters.build import Build
 from tests.few import few
 
@@ -48,6 +48,21 @@ def tall_foot() -> str:
     joints = [joint("turn", "pillar", "upper", "0 0 0.5", "0 0 1", wide), joint("shoulder", "upper", "lower", "0 0 0.1", limit=wide)]
     joints += [joint("elbow", "lower", "wrist", "0 0 0.4", limit=wide), joint("mount", "wrist", "hand", "0 0 0.3", limit="")]
     return "".join([*links, *joints])
+
+
+def flat_arm(axis: str = "0 0 1") -> str:
+    """Two hinges with parallel axes on a heavy foot: an arm that moves in a plane."""
+    wide = 'lower="-2.5" upper="2.5" effort="20" velocity="3"'
+    links = [link("foot", box("0.2 0.2 0.2"), 20.0), link("upper", box("0.3 0.04 0.04"), 0.5, "0.15 0 0")]
+    links.append(link("lower", box("0.2 0.04 0.04"), 0.3, "0.1 0 0"))
+    links.append(link("tip", box("0.02 0.02 0.02"), 0.05))
+    joints = [joint("shoulder", "foot", "upper", "0 0 0.2", axis, wide), joint("elbow", "upper", "lower", "0.3 0 0.05", axis, wide)]
+    return "".join([*links, *joints, joint("mount", "lower", "tip", "0.2 0 0", limit="")])
+
+
+def hoist() -> str:
+    """The same in a vertical plane."""
+    return flat_arm("0 1 0")
 
 
 def snake() -> str:
@@ -116,7 +131,7 @@ def odd_names() -> str:
     return "".join([*links, *(joint(name, "trunk", f"{name} link", f"{x} {y} 0.1") for name, x, y in around)])
 
 
-ROBOTS = {make.__name__: make for make in (tall_foot, snake, spider, hexacopter, locked, gripper, odd_names)}
+ROBOTS = {make.__name__: make for make in (tall_foot, flat_arm, hoist, snake, spider, hexacopter, locked, gripper, odd_names)}
 
 
 @pytest.fixture
@@ -143,6 +158,20 @@ def test_an_arm_that_was_lifted_out_of_the_ground_reaches_for_places_that_were_l
     assert lift > 0.1
     for x, y, z in product(*zip(low, high, strict=True)):
         assert limb.positions_for((x, y, z - lift))[1] < 0.03 * limb.reach
+
+
+@pytest.mark.parametrize(("robot", "across"), [("flat_arm", 2), ("hoist", 1)], indirect=["robot"])
+def test_an_arm_that_moves_in_a_plane_reaches_for_places_in_it_and_starts_beside_them(deepbots, robot, across):
+    assert deepbots("new", "first", "--urdf", f"{robot}.urdf", "--json").code == 0
+    world = api.make("first.yaml")
+    limb = Build(world.scenario.world.robots[0].model).limbs[0]
+    for seed in range(20):
+        world.reset(seed=seed)
+        target, tip = world.engine.pose("mark")()[0], world.engine.pose("robot", limb.tip)()[0]
+        assert abs(target[across] - tip[across]) < 1e-3
+        seen = frames.subtract(target, world.engine.pose("robot")()[0])
+        assert limb.positions_for(seen)[1] < 0.02 * limb.reach < dist(target, tip)
+    world.close()
 
 
 @pytest.mark.parametrize(("lower", "upper"), [(-1.0, -0.999), (-3.0, -2.9), (0.0001, 0.0007), (2.9999, 9.0)])

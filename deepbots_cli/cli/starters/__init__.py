@@ -27,6 +27,8 @@ _GRAVITY = 9.81
 _COLUMN, _WIDTH = 40, 110
 _PLAIN = re.compile(r"(?:package://|(?:\.\./)+)?[A-Za-z_][A-Za-z0-9_./-]*")
 _OTHER_YAML = frozenset({"true", "false", "null", "yes", "no", "on", "off", "y", "n"})
+_PARALLEL = 0.999
+"""Cosine of the angle between axes that count as parallel."""
 _TIP_TOLERANCE = 0.02
 """How near to its target the tip of a limb must come, as a fraction of the limb's reach."""
 _STANDING_LEG_SHARE = 0.75
@@ -230,7 +232,9 @@ def reach(draft: Draft) -> dict[str, object] | None:
     lift = (0.0, 0.0, draft.height)
     ends = [" ".join(short_number(round(value, 3)) for value in frames.add(corner, lift)) for corner in (low, high)]
     bounded = all(joint.type != "continuous" and joint.limit.lower is not None and joint.limit.upper is not None for joint in joints)
-    return {"arm": group, "low": ends[0], "high": ends[1], "tip": limb.tip, "reach": limb.reach, "bounded": bounded}
+    plane = "".join(name for name, one, other in zip("xyz", low, high, strict=True) if one < other)
+    values = {"arm": group, "low": ends[0], "high": ends[1], "tip": limb.tip, "reach": limb.reach, "bounded": bounded}
+    return values | {"plane": "" if plane == "xyz" else f".{plane}"}
 
 
 def walk(draft: Draft) -> dict[str, object]:
@@ -340,23 +344,36 @@ def _wheel_speed(build: Build, wanted: float) -> float:
 
 
 def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, float]] | None:
-    """A box in front of an arm, or beside it, whose corners its tip reaches, and joint positions with the tip in its middle."""
+    """A box in front of an arm, or beside it, whose corners its tip reaches, and joint positions at the start.
+
+    The arm starts with its tip in the middle. The box of an arm that moves in a plane along two axes of the world is flat, and the tip
+    starts beside it: in the middle it would often be at the drawn place already.
+    """
     bending = [limb.joints[0], *(joint for joint in limb.joints if abs(build.axis(joint)[2]) < 0.3)]
     shoulder = next((joint for joint in limb.joints if abs(build.axis(joint)[2]) < 0.7), limb.joints[0])
     far, near = limb.reach, _TIP_TOLERANCE * limb.reach
+    across = next((axis for axis in range(3) if all(abs(build.axis(joint)[axis]) > _PARALLEL for joint in limb.joints)), None)
     sides = ((1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (-1.0, 0.0))
     for half, (x, y), rise in product((0.2, 0.12, 0.06), sides, (0.1, 0.3, 0.0)):
         middle = frames.add(build.frames[shoulder.child][0], (0.5 * far * x, 0.5 * far * y, rise * far))
-        size = half * far
-        low = (middle[0] - size, middle[1] - size, max(middle[2] - size, build.lowest + 0.05 * far))
-        high = (middle[0] + size, middle[1] + size, middle[2] + size)
-        positions, missing = limb.positions_for(middle, bending)
-        if missing > near:
-            positions, missing = limb.positions_for(middle)
+        starts, sizes = [middle], [half * far] * 3
+        if across is not None:
+            middle, sizes[across] = _moved(middle, across, build.frames[limb.tip][0][across] - middle[across]), 0.0
+            starts = [_moved(middle, axis, 1.5 * sign * half * far) for axis in (2, 1, 0) if axis != across for sign in (1, -1)]
+        low, high = (frames.add(middle, (sign * sizes[0], sign * sizes[1], sign * sizes[2])) for sign in (-1, 1))
+        if across != 2:
+            low = low[0], low[1], max(low[2], build.lowest + 0.05 * far)
+        tried = [limb.positions_for(start, using) for start in starts for using in (bending, None, bending[::-1])]
+        found = [positions for positions, missing in tried if missing < near]
         corners = product((low[0], high[0]), (low[1], high[1]), (low[2], high[2]))
-        if missing < near and all(limb.positions_for(corner)[1] < near for corner in corners):
-            return low, high, positions
+        if found and all(limb.positions_for(corner)[1] < near for corner in corners):
+            return low, high, found[0] if across is None else max(found, key=limb.lowest)
     return None
+
+
+def _moved(point: Triple, axis: int, distance: float) -> Triple:
+    x, y, z = (value + distance * (number == axis) for number, value in enumerate(point))
+    return x, y, z
 
 
 def _upright(build: Build) -> tuple[float, float]:

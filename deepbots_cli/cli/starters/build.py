@@ -68,6 +68,10 @@ class Limb:
             found[joint.name] = here = child_frame(joint, here, positions.get(joint.name, 0.0))
         return found
 
+    def lowest(self, positions: Positions) -> float:
+        """The height of the lowest of these frames."""
+        return min(place[2] for place, _ in self.frames(positions).values())
+
     def positions_for(self, target: Triple, using: Sequence[Joint] | None = None) -> tuple[dict[str, float], float]:
         """Joint positions that bring the tip near `target`, and the distance that remains.
 
