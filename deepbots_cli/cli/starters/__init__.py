@@ -355,7 +355,8 @@ def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, 
     across = next((axis for axis in range(3) if all(abs(build.axis(joint)[axis]) > _PARALLEL for joint in limb.joints)), None)
     sides = ((1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (-1.0, 0.0))
     for half, (x, y), rise in product((0.2, 0.12, 0.06), sides, (0.1, 0.3, 0.0)):
-        middle = frames.add(build.frames[shoulder.child][0], (0.5 * far * x, 0.5 * far * y, rise * far))
+        away = (0.5 if across is None else 0.65) * far
+        middle = frames.add(build.frames[shoulder.child][0], (away * x, away * y, rise * far))
         starts, sizes = [middle], [half * far] * 3
         if across is not None:
             middle, sizes[across] = _moved(middle, across, build.frames[limb.tip][0][across] - middle[across]), 0.0
@@ -365,8 +366,12 @@ def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, 
             low = low[0], low[1], max(low[2], build.lowest + 0.05 * far)
         tried = [limb.positions_for(start, using) for start in starts for using in (bending, None, bending[::-1])]
         found = [positions for positions, missing in tried if missing < near]
+        # The circle that a hinge at its limit leaves out may reach into a flat box between two corners.
+        inner = (
+            [middle] if across is None else [middle, *(_moved(middle, axis, sign * sizes[axis]) for axis in range(3) for sign in (1, -1))]
+        )
         corners = product((low[0], high[0]), (low[1], high[1]), (low[2], high[2]))
-        if found and all(limb.positions_for(corner)[1] < near for corner in corners):
+        if found and all(limb.positions_for(place)[1] < near for place in (*corners, *inner)):
             return low, high, found[0] if across is None else max(found, key=limb.lowest)
     return None
 
