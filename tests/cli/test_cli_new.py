@@ -107,7 +107,7 @@ ROBOTS = {
     "package://pybullet_data/husky/husky.urdf": "on wheels",
     "package://pybullet_data/racecar/racecar.urdf": "on wheels",
     "package://pybullet_data/cartpole.urdf": "upright",
-    "package://pybullet_data/pendulum5.urdf": "place",
+    "package://pybullet_data/pendulum5.urdf": "arm",
     "epuck": "on wheels",
     "rover": "on wheels",
     "balancer": "upright",
