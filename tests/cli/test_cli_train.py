@@ -86,6 +86,14 @@ def test_a_training_that_ends_unsolved_names_the_first_cause_and_one_command(dee
     assert "--set train.learning_rate=0.003" in printed["command"]
 
 
+def test_a_training_that_ends_unsolved_without_a_cause_names_where_to_look(deepbots):
+    words = ("--set", "train.total_timesteps=400", "--set", "train.n_steps=50", "--set", "train.batch_size=50", "--run", "mine", "-q")
+    ran = deepbots("train", "cartpole", "--seed", "1", *words)
+    assert "no cause found; `eval --details` shows from which starts the policy fails" in ran.out
+    assert ran.err.split("next:\n")[1].splitlines()[0] == "  deepbots eval mine --details"
+    assert "deepbots eval mine --details" in deepbots("diagnose", "mine").err
+
+
 def test_the_next_commands_can_be_pasted_though_the_path_has_blanks(deepbots, tmp_path):
     ran = deepbots(*TINY, "--run", "my läufe/a b")
     assert "deepbots render 'my läufe/a b' -o 'a b.mp4'" in ran.err

@@ -265,4 +265,9 @@ def _diagnose(run: Path, *, only_logs: bool, as_json: bool, permissions: Permiss
     if all("error" in each for each in found):
         raise RunError(f"{run} contains no run that can be diagnosed")
     commands = [each["causes"][0].get("command") for each in found if each.get("causes")]
+    commands += [
+        f"deepbots eval {quote(str(each['run']))} --details"
+        for each in found
+        if each.get("causes") == [] and not (each["solved"] or each["running"])
+    ]
     terminal.show({"runs": found}, as_json=as_json, next_commands=list(dict.fromkeys(filter(None, commands))))

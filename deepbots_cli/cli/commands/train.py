@@ -141,7 +141,7 @@ def command(
 
     Training stops when an evaluation confirms that the task is solved, or at the total number of timesteps. Ctrl-C stops it after the
     current rollout and keeps the policy. The run directory holds the inputs, the models and the results. A run never overwrites another
-    one. If the task is not solved, train prints the most likely cause and one command to run next.
+    one. If the task is not solved, train prints the most likely cause that it finds, and one command to run next.
 
     \b
       deepbots train cartpole
@@ -457,13 +457,17 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: 
     if solved:
         further = [f"deepbots {command} {run}" for command in ("view", "report", "export")]
     has_goal = solved is False or trained.program.defines_success
-    causes = _causes(result.run, quiet=quiet, permissions=permissions) if has_goal and not solved else []
+    unsolved = has_goal and not solved
+    causes = _causes(result.run, quiet=quiet, permissions=permissions) if unsolved else []
+    if unsolved and not causes:
+        further.insert(0, f"deepbots eval {run} --details")
     if causes:
         commands = [causes[0].command, f"deepbots diagnose {run}"]
         further = [*dict.fromkeys(filter(None, [*commands, *further[:1], *further[2:]]))]
     data = {"training": result, "evaluation": found, "solved": solved, "cause": causes[0].as_json() if causes else None}
     text = "\n" + records.evaluation_text(evaluation, cases)
-    terminal.show(data, text, *retries.cause_lines(causes), as_json=as_json, next_commands=further)
+    no_cause = ["\nno cause found; `eval --details` shows from which starts the policy fails"] if unsolved and not causes else []
+    terminal.show(data, text, *retries.cause_lines(causes), *no_cause, as_json=as_json, next_commands=further)
 
 
 def _causes(run: Path, *, quiet: bool, permissions: Permissions) -> list[Statement]:
