@@ -58,8 +58,8 @@ def _blocks(page: Path) -> Iterator[Block]:
         yield Block(str(page.relative_to(ROOT)), text[: found.start()].count("\n") + 1, found[1], found[2], found[3])
 
 
-def findings_of(text: str) -> list[Finding]:
-    checked = check(loads(text, base=ROOT / "scenarios"))
+def findings_of(text: str, base: Path = ROOT / "scenarios") -> list[Finding]:
+    checked = check(loads(text, base=base))
     kept, unused = suppress([*checked.findings, *run_rules(checked, preview=True)], checked.document.sources, preview=True)
     return [*kept, *unused]
 
@@ -74,7 +74,7 @@ def load_reference() -> ModuleType:
 
 
 @pytest.mark.parametrize("block", blocks("yaml"), ids=str)
-def test_a_scenario_in_the_docs_is_what_the_text_says(block: Block):
+def test_a_scenario_in_the_docs_is_what_the_text_says(block: Block, tmp_path: Path):
     if "pybullet_data" in block.text:
         pytest.importorskip("pybullet_data")
     mark, _, code = block.mark.partition(" ")
@@ -85,7 +85,10 @@ def test_a_scenario_in_the_docs_is_what_the_text_says(block: Block):
     elif mark == "deep":  # simulated by the tests of the pages
         assert block.text.strip() in {page.example for page in pages_of(code) if page.deep}
     elif mark == "fragment":
-        found = findings_of(UPON_CARTPOLE + block.text)
+        for file in _blocks(ROOT / block.page):
+            if file.language == "xml" and file.mark:  # a robot file of the same page
+                (tmp_path / file.mark).write_text(file.text, encoding="utf-8")
+        found = findings_of(UPON_CARTPOLE + block.text, tmp_path)
         assert [f"{finding.code} {finding.headline}" for finding in found if finding.severity == "error"] == []
     else:
         assert [f"{finding.code} {finding.headline}" for finding in findings_of(block.text)] == []
