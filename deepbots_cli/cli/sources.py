@@ -86,8 +86,8 @@ def is_robot(reference: str) -> bool:
     return shipped.robot_path(reference) is not None and shipped.scenario_path(reference) is None and not Path(reference).exists()
 
 
-def open_robot(reference: str) -> tuple[RobotFile, list[Finding]]:
-    """A robot file, and the warnings about it.
+def open_robot(reference: str, allowed: Sequence[str | Path] = ()) -> tuple[RobotFile, list[Finding]]:
+    """A robot file, and the warnings about it. Its meshes lie in its folder, the current one, an `allowed` one, or below them.
 
     Raises:
         UsageError: There is no such file.
@@ -104,7 +104,7 @@ def open_robot(reference: str) -> tuple[RobotFile, list[Finding]]:
         hint = f" (did you mean {near}?)" if near else ""
         raise UsageError(f"there is no robot file {reference}{hint}; shipped robots are: {', '.join(names)}")
     findings = Findings()
-    resolve_mesh = meshes.mesh_resolver(found.absolute().parent, meshes.package_folders(reference))
+    resolve_mesh = meshes.mesh_resolver(found.absolute().parent, (Path.cwd(), *map(Path, allowed), *meshes.package_folders(reference)))
     file = read(found, files.display_path(found.resolve()), findings, resolve_mesh=resolve_mesh)
     if file is None or findings.errors:
         raise ScenarioError(list(findings))

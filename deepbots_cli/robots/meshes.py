@@ -144,7 +144,8 @@ def mesh_resolver(folder: Path, allowed: Iterable[Path] = ()) -> ResolveMesh:
             return path
         within = [*roots, *map(os.path.realpath, package_folders(reference))]
         if not any(path.is_relative_to(root) for root in within):
-            return UnusableMesh("the mesh lies outside the folder of the robot", "move it into the folder of the robot file")
+            help = "move it into the folder of the robot file, or allow its folder with --allow-path"
+            return UnusableMesh("the mesh lies outside the folder of the robot", help)
         return path if "://" in reference or path.exists() else _above(reference, folder, roots) or path
 
     return resolve

@@ -185,6 +185,21 @@ def test_no_position_is_rounded_beyond_a_limit(deepbots, tmp_path, lower, upper)
     assert api.lint(tmp_path / "first.yaml", preview=True) == []
 
 
+def test_a_package_of_ros_has_its_meshes_beside_the_folder_of_its_robot_file(deepbots, tmp_path, monkeypatch):
+    for name in ("urdf", "meshes"):
+        (tmp_path / "my_arm" / name).mkdir(parents=True)
+    (tmp_path / "my_arm" / "meshes" / "foot.stl").write_text("solid x\nfacet normal 0 0 1\nendfacet\nendsolid x\n")
+    mesh = '<mesh filename="package://my_arm/meshes/foot.stl"/>'
+    robot = f'<robot name="r">{link("base", mesh)}{tall_foot()}{joint("bolt", "base", "pillar", "0 0 0", limit="")}</robot>'
+    (tmp_path / "my_arm" / "urdf" / "arm.urdf").write_text(robot)
+    assert deepbots("inspect", "my_arm/urdf/arm.urdf").code == 0
+    assert deepbots("new", "first", "--urdf", "my_arm/urdf/arm.urdf", "--json").code == 0
+    assert [finding.code for finding in api.lint(tmp_path / "first.yaml") if finding.severity == "error"] == []
+    monkeypatch.chdir(tmp_path / "my_arm" / "urdf")
+    assert "allow its folder with --allow-path" in deepbots("inspect", "arm.urdf").err
+    assert deepbots("inspect", "arm.urdf", "--allow-path", "..").code == 0
+
+
 @pytest.mark.parametrize("robot", ["locked"], indirect=True)
 def test_a_joint_whose_limits_are_the_same_gets_no_motor(deepbots, tmp_path, robot):
     assert deepbots("new", "first", "--urdf", f"{robot}.urdf", "--json").code == 0

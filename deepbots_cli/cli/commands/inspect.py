@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -77,7 +77,7 @@ def command(
     Next: `deepbots try SCENARIO` runs random actions, and `deepbots render SCENARIO` draws a picture.
     """
     if is_robot(scenario):
-        _inspect_robot(scenario, as_json)
+        _inspect_robot(scenario, permissions.folders, as_json)
         return
     side = open_source(scenario, overrides or (), permissions, engine)
     terminal.note_warnings(side.findings, scenario)
@@ -124,8 +124,8 @@ def _poses(program: Program, engine: str | None, permissions: Permissions) -> in
         return {}
 
 
-def _inspect_robot(reference: str, as_json: bool) -> None:
-    robot, findings = open_robot(reference)
+def _inspect_robot(reference: str, allowed: Sequence[str | Path], as_json: bool) -> None:
+    robot, findings = open_robot(reference, allowed)
     tables = inspection.robot_tables(robot, findings)
     terminal.show(tables, *_lines({name: rows for name, rows in tables.items() if name != "findings"}), as_json=as_json)
     if findings and not as_json and _is_of_package(reference):

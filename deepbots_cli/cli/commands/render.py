@@ -192,7 +192,7 @@ def command(
         if kind != PICTURE or any((*of_episodes, driver, seed, episode, overrides, case, stage)):
             raise UsageError(f"{shown} is a robot file, of which there is a picture (.png) by --size, --from and --at")
         pictures.check_target(file, SUFFIXES, force=force)
-        _draw_robot(shown, file, shot, engine_or_default(engine))
+        _draw_robot(shown, file, shot, engine_or_default(engine), permissions)
         terminal.show({"files": [_made(file)]}, str(file), as_json=as_json)
         return
     opened = Source.open(shown, permissions, SourceKind.SCENARIO, SourceKind.RUN, SourceKind.RECORDING)
@@ -299,14 +299,14 @@ def _lines(kind: str, files: Sequence[Path], rows: Sequence[Row]) -> Iterator[st
         yield str(file) if kind == PICTURE else f"{file} ({size})" if kind == RECORDING_SUFFIX else f"{file} ({size}; {end})"
 
 
-def _draw_robot(reference: str, file: Path, shot: Viewpoint, engine: str) -> None:
+def _draw_robot(reference: str, file: Path, shot: Viewpoint, engine: str, permissions: Permissions) -> None:
     """A picture of a robot on a floor, with its joints at 0."""
     import PIL.Image  # of the extra that draws
 
     from deepbots_cli import engines
     from deepbots_cli.runtime.overview import view_around
 
-    model = open_robot(reference)[0].model
+    model = open_robot(reference, permissions.folders)[0].model
     pose = Pose((0.0, 0.0, resting_height(model)))
     world = WorldModel(0.01, 1, robots=(RobotBody("robot", model, fixed_base=True, pose=pose),))
     low, high = robot_bounds(model)
