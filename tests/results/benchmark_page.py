@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean, median
 
+from deepbots_cli.analysis import possible_returns
 from deepbots_cli.learning.episodes import UNBOUNDED, Interval
 from deepbots_cli.learning.run import write_text
 from deepbots_cli.learning.statistics import mean_interval, wilson
@@ -41,6 +42,7 @@ not a tenth faster. Each algorithm is trained with {len(SEEDS)} seeds, {SEEDS[0]
 - [**Intervals**](statistics.md) are of 95 %, over seeds and episodes: the wider one of the interval over all episodes together and of
   Student's interval over the means of the seeds. Three seeds show little about rare failures of a training.
 - **Until solved.** The median over the seeds, with the least and the largest. A seed that does not solve the task ranks last.
+  The training episodes, which explore, must meet the criterion too: of an unsolved training, all held-out episodes may succeed.
   CPU time is that of the training with its evaluations, without the start of Python. "CPU of a training" is the mean over the seeds of
   the whole command. CPU times vary with the machine, and are up to a half longer beside other work. Steps and simulated hours do not
   vary.
@@ -110,17 +112,18 @@ def success_interval(held: Sequence[Entry]) -> Interval:
     return _wider(together, [entry["success_rate"] for entry in held], (0.0, 1.0))
 
 
-def return_interval(held: Sequence[Entry]) -> Interval | None:
-    """Of the mean return; None if no spread is known."""
+def return_interval(held: Sequence[Entry], bounds: Interval = UNBOUNDED) -> Interval | None:
+    """Of the mean return, within the possible returns; None if no spread is known."""
     known = [entry["return_interval"] for entry in held]
     if None in known:
-        return mean_interval([entry["mean_return"] for entry in held])
+        return mean_interval([entry["mean_return"] for entry in held], bounds)
     # The means of the seeds are independent: the squares of half the widths add up.
     mean = fmean(entry["mean_return"] for entry in held)
     low, high = (
         math.hypot(*(entry["mean_return"] - interval[side] for entry, interval in zip(held, known, strict=True))) for side in (0, 1)
     )
-    return _wider((mean - low / len(held), mean + high / len(held)), [entry["mean_return"] for entry in held])
+    low, high = max(bounds[0], mean - low / len(held)), min(bounds[1], mean + high / len(held))
+    return _wider((low, high), [entry["mean_return"] for entry in held], bounds)
 
 
 def _wider(together: Interval, means: Sequence[float], bounds: Interval = UNBOUNDED) -> Interval:
@@ -170,7 +173,7 @@ def _summary(tasks: Sequence[Task], found: Mapping[str, list[Row]]) -> Iterator[
 def _in_short(row: Row) -> str:
     if not row.entries:
         return row.cell.reason.partition(";")[0] or "not measured yet"
-    value = _success(row.held) or _return(row.held)
+    value = _success(row.held) or _return(row)
     seeds = "" if len(row.entries) == len(SEEDS) else f", {_seeds(len(row.entries))}"
     seconds = median(row.until("cpu_seconds"))
     cost = f"{_number(seconds)} s" if math.isfinite(seconds) else "not solved"
@@ -225,7 +228,7 @@ def _cells(row: Row) -> tuple[str, ...]:
     until = [_median(row.until(what)) for what in ("steps", "simulated_hours", "cpu_seconds")]
     spent = [entry["cpu_seconds"] for entry in row.entries]
     marked = f"{row.name}{', earlier version' if row.outdated else ''}"
-    return (marked, _success(row.held) or "not defined", _return(row.held), seeds, *until, _number(fmean(spent)), limit)
+    return (marked, _success(row.held) or "not defined", _return(row), seeds, *until, _number(fmean(spent)), limit)
 
 
 def limit_of(task: Task, cell: Cell) -> int:
@@ -244,10 +247,11 @@ def _success(held: Sequence[Entry]) -> str:
     return f"{_percent(rate)} % ({_percent(low)} .. {_percent(high)})"
 
 
-def _return(held: Sequence[Entry]) -> str:
-    interval = return_interval(held)
+def _return(row: Row) -> str:
+    assert row.cell.training is not None
+    interval = return_interval(row.held, possible_returns(measure.compiled(row.task.scenario, row.cell.training.sets)))
     spread = "no interval" if interval is None else f"{number(interval[0])} .. {number(interval[1])}"
-    return f"{number(fmean(entry['mean_return'] for entry in held))} ({spread})"
+    return f"{number(fmean(entry['mean_return'] for entry in row.held))} ({spread})"
 
 
 def _percent(share: float) -> str:

@@ -87,6 +87,7 @@ def test_an_interval_is_over_seeds_and_over_episodes():
     assert (low, high) == pytest.approx((0.8 - 4.302653 * 0.1 / 3**0.5, 1.0))  # Student's t for two degrees of freedom, cut at 1
     assert return_interval(held(0.5, 0.5)) == pytest.approx((0.5 - 0.03 / 2**0.5, 0.5 + 0.04 / 2**0.5))
     assert return_interval(held(0.4, 0.6)) == pytest.approx((0.5 - 12.706205 * 0.1, 0.5 + 12.706205 * 0.1))
+    assert return_interval(held(0.5, 0.5), (0.49, 0.51)) == return_interval(held(0.4, 0.6), (0.49, 0.51)) == (0.49, 0.51)
 
 
 def test_the_command_on_the_page_measures_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
