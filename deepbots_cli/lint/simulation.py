@@ -20,6 +20,8 @@ from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import MissingExtraError
+from deepbots_cli.footprint import link_frames
+from deepbots_cli.frames import rotate
 from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Motor, Robot, Sensor
@@ -40,6 +42,8 @@ _MAX_WORK = 200_000.0
 _MAX_SETTLING = 50_000
 _PIXELS = 250.0
 _MIN_STEPS = 10
+_MAX_AXIS_RISE = 0.3
+"""Of an axis of a wheel, per length."""
 
 
 @dataclass(frozen=True)
@@ -219,12 +223,18 @@ def casts_rays(sensor: Sensor) -> bool:
 
 
 def driven_wheels(robot: Robot, model: RobotModel) -> tuple[str, ...]:
-    """The continuous joints with a velocity or torque motor; none for a robot with motors of another kind, or with rotors."""
+    """The continuous joints on level axes that have a velocity or torque motor, if there are two or more.
+
+    A robot with motors of another kind, or with rotors, has none: it moves by other means.
+    """
     motors = [command.actuator for command in robot.commands]
     if not all(isinstance(motor, Motor) and motor.kind != "position_motor" for motor in motors):
         return ()
     driven = dict.fromkeys(joint for motor in motors if isinstance(motor, Motor) for joint in motor.joints)
-    return tuple(joint for joint in driven if model.joint(joint).type == "continuous")
+    where = link_frames(model)
+    joints = [joint for joint in map(model.joint, driven) if joint.type == "continuous"]
+    wheels = tuple(joint.name for joint in joints if abs(rotate(where[joint.child][1], joint.axis)[2]) < _MAX_AXIS_RISE)
+    return wheels if len(wheels) > 1 else ()
 
 
 class NumberStatistics(NamedTuple):

@@ -357,22 +357,21 @@ def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, 
     for half, (x, y), rise in product((0.2, 0.12, 0.06), sides, (0.1, 0.3, 0.0)):
         away = (0.5 if across is None else 0.65) * far
         middle = frames.add(build.frames[shoulder.child][0], (away * x, away * y, rise * far))
-        starts, sizes = [middle], [half * far] * 3
+        starts, orders, inner, sizes = [middle], [bending, None], [], [half * far] * 3
         if across is not None:
             middle, sizes[across] = _moved(middle, across, build.frames[limb.tip][0][across] - middle[across]), 0.0
             starts = [_moved(middle, axis, 1.5 * sign * half * far) for axis in (2, 1, 0) if axis != across for sign in (1, -1)]
+            orders.append(bending[::-1])  # which often bends the elbow the other way
+            # The circle that a hinge at its limit leaves out may reach into a flat box between two corners.
+            inner = [middle, *(_moved(middle, axis, sign * sizes[axis]) for axis in range(3) for sign in (1, -1))]
         low, high = (frames.add(middle, (sign * sizes[0], sign * sizes[1], sign * sizes[2])) for sign in (-1, 1))
         if across != 2:
             low = low[0], low[1], max(low[2], build.lowest + 0.05 * far)
-        tried = [limb.positions_for(start, using) for start in starts for using in (bending, None, bending[::-1])]
+        tried = [limb.positions_for(start, order) for start in starts for order in orders]
         found = [positions for positions, missing in tried if missing < near]
-        # The circle that a hinge at its limit leaves out may reach into a flat box between two corners.
-        inner = (
-            [middle] if across is None else [middle, *(_moved(middle, axis, sign * sizes[axis]) for axis in range(3) for sign in (1, -1))]
-        )
         corners = product((low[0], high[0]), (low[1], high[1]), (low[2], high[2]))
         if found and all(limb.positions_for(place)[1] < near for place in (*corners, *inner)):
-            return low, high, found[0] if across is None else max(found, key=limb.lowest)
+            return low, high, found[0] if across is None else max(found, key=limb.lowest)  # above the ground
     return None
 
 
