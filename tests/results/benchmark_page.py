@@ -153,6 +153,8 @@ def _headline(found: Sequence[Row]) -> str:
     asked = [row for row in found if row.cell.training]
     whole = sum(len(row.entries) == len(SEEDS) for row in asked)
     part = sum(0 < len(row.entries) < len(SEEDS) for row in asked)
+    if whole == len(asked):
+        return f"All {whole} pairs of a task and an algorithm are measured with {len(SEEDS)} seeds."
     text = f"Of {len(asked)} pairs of a task and an algorithm, {whole} are measured with all {len(SEEDS)} seeds"
     return f"{text}, {part} with fewer, and {len(asked) - whole - part} are not measured yet."
 
