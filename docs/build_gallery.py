@@ -26,10 +26,37 @@ ROOT = Path(__file__).resolve().parents[1]
 NOTES = "docs/scenarios"
 CARDS = "docs/results"
 INDEX = "docs/worlds.md"
+CLIPS = "docs/images/policies"
 _CARDS = re.compile(r"<!-- cards -->.*<!-- end of cards -->", re.DOTALL)
 _EXTENDS = re.compile(r"^extends: (\w+)", re.MULTILINE)
 _DIGITS = 4
 _DIFFICULTIES = {60: "CPU 0 to 1 min", 300: "CPU 1 to 5 min", math.inf: "CPU over 5 min"}
+
+
+class Clip(NamedTuple):
+    """Of which training a moving picture shows a held-out episode: its seed, and other options of `train` and `render`."""
+
+    seed: int
+    train: str = ""
+    render: str = ""
+
+
+POLICIES = {
+    "balancer": Clip(1, "--engine mujoco", "--seconds 4 --size 300x200"),
+    "cartpole": Clip(0, render="--seconds 5"),
+    "find_and_avoid": Clip(1, render="--speed 3"),
+    "find_ball": Clip(301, "--engine mujoco", "--speed 3"),
+    "find_ball_random": Clip(1, "--engine mujoco", "--case many --episode 1 --speed 3"),
+    "line_follower": Clip(301, "--engine mujoco", "--speed 3"),
+    "panda_push": Clip(4101, "--engine mujoco", "--engine pybullet"),
+    "panda_reach": Clip(1, "--engine mujoco"),
+    "pit_escape": Clip(1, "--engine mujoco"),
+    "quadrotor": Clip(1, render="--seconds 6 --from 0.9,-0.9,1.4 --at 0,0,1 --size 400x267"),
+    "quadruped": Clip(111, render="--case half_speed --seconds 2 --size 300x200"),
+    "see_ball": Clip(1, render="--speed 3"),
+    "tag": Clip(1, "--engine mujoco", "--speed 3"),
+}
+"""The moving picture of each page, in the folder `CLIPS`."""
 
 
 class World(NamedTuple):
@@ -110,9 +137,12 @@ def pages() -> dict[str, str]:
     return found | {f"{NOTES}/{base}.md": "\n".join(_page(base, variants)) for base, variants in families().items()}
 
 
-def picture_of(name: str) -> str | None:
-    """The moving picture of a scenario, or one that stands still."""
-    return next((f"docs/images/{name}.{end}" for end in ("gif", "png") if (ROOT / f"docs/images/{name}.{end}").is_file()), None)
+def clip_of(name: str) -> str:
+    """The moving picture of a trained policy, and how it was made."""
+    clip, file = POLICIES[name], f"{name}.gif"
+    train = " ".join(filter(None, [f"deepbots train {name} --seed {clip.seed}", clip.train]))
+    render = " ".join(filter(None, ["deepbots render RUN", clip.render, f"-o {file}"]))
+    return f"![{world(name).summary}](../images/policies/{file})\n\n*A held-out episode of the policy of `{train}`: `{render}`.*"
 
 
 # Index
@@ -129,9 +159,7 @@ def _cards() -> Iterator[str]:
         algorithms = dict.fromkeys(one.algorithm for one in family)
         difficulties = dict.fromkeys(filter(None, (difficulty(one.name) for one in family)))
         yield from ("```{container} card", "")
-        picture = picture_of(base)
-        if picture:
-            yield from (f"[![{here.title}](images/{Path(picture).name})](scenarios/{base}.md)", "")
+        yield from (f"[![{here.title}](images/policies/{base}.gif)](scenarios/{base}.md)", "")
         yield from (f"[**{here.title}**](scenarios/{base}.md) {here.summary}", "")
         yield f"*{' · '.join(', '.join(names) or 'none' for names in (robots, sensors, algorithms, difficulties))}*"
         if variants:
@@ -157,16 +185,14 @@ def _page(base: str, variants: tuple[str, ...]) -> Iterator[str]:
 
 
 def _notes(name: str) -> Iterator[str]:
-    """The written part of a page, with the moving picture of the scenario if there is one."""
-    path, picture = ROOT / NOTES / f"{name}.md", picture_of(name)
-    image = f"![{world(name).summary}](../images/{Path(picture).name})" if picture else ""
+    """The written part of a page, whose picture gives way to the moving one."""
+    path = ROOT / NOTES / f"{name}.md"
     if path.is_file():
         title, _, text = path.read_text(encoding="utf-8").rstrip().partition("\n\n")
         first, _, rest = text.partition("\n\n")
-        moving = picture and picture.endswith(".gif") and first.startswith("![") and ".gif" not in first
-        yield from (title, "", f"{image}\n\n{rest}" if moving else text)
+        yield from (title, "", clip_of(name), "", rest if first.startswith("![") else text)
     else:
-        yield from (f"# {world(name).title}", "", image, "", world(name).summary)
+        yield from (f"# {world(name).title}", "", clip_of(name), "", world(name).summary)
 
 
 def _variant_notes(name: str) -> Iterator[str]:

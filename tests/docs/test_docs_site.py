@@ -14,6 +14,7 @@ from types import ModuleType
 from urllib.parse import unquote
 
 import pytest
+from PIL import Image
 
 from deepbots_cli.diagnostics.registry import RULES
 from tests.view.browser import CHROMIUM, browser
@@ -106,9 +107,10 @@ def test_every_scenario_has_its_results_in_the_gallery_and_curves_where_it_was_t
     assert is_trained == (f"images/results/{name}.svg)" in card)
 
 
-def test_every_page_of_the_gallery_has_a_picture(site: ModuleType) -> None:
+def test_every_page_of_the_gallery_has_a_moving_picture_of_a_trained_policy(site: ModuleType) -> None:
     gallery = import_module("build_gallery")
-    assert [name for name in gallery.families() if gallery.picture_of(name) is None] == []
+    moving = {path.stem for path in (DOCS / "images" / "policies").glob("*.gif") if getattr(Image.open(path), "n_frames", 1) > 10}
+    assert set(gallery.families()) == set(gallery.POLICIES) == moving
 
 
 def test_every_picture_that_is_drawn_by_code_is_current_and_on_a_page(site: ModuleType, pages: dict[str, str]) -> None:

@@ -31,7 +31,7 @@ bars and commands.
 
 ## Beside the paper
 """
-BESIDE = "The page of each task lists its differences from the paper. The pit of PitEscape is lower than the paper's."
+BESIDE = "The page of each task lists its differences from the paper; the pit of PitEscape is lower."
 OTHERS = """\
 ## Other scenarios
 
@@ -133,7 +133,7 @@ def _bars(standings: Sequence[Standing], tables: Mapping[str, Entry], *, linked:
     text += f"of {words['reached'] + words['not reached']} further goals (stretch), {words['reached']} reached; "
     hand = _by_hand()
     text += f"measured {'[by hand](measured.md)' if linked else 'by hand'}: "
-    text += f"{', '.join(f'{hand[word]} {word}' for word in ('met', 'missed', 'not shown'))}."
+    text += f"{', '.join(f'{hand[word]} {word}' for word in ('met', 'missed', 'not shown') if hand[word])}."
     old = sum(verdict.status != "not measured" for standing in standings if standing.outdated for verdict in standing.verdicts())
     return f"{text} {old} of these verdicts {'is' if old == 1 else 'are'} of an earlier version of a scenario." if old else text
 
