@@ -142,7 +142,8 @@ def clip_of(name: str) -> str:
     clip, file = POLICIES[name], f"{name}.gif"
     train = " ".join(filter(None, [f"deepbots train {name} --seed {clip.seed}", clip.train]))
     render = " ".join(filter(None, ["deepbots render RUN", clip.render, f"-o {file}"]))
-    return f"![{world(name).summary}](../images/policies/{file})\n\n*A held-out episode of the policy of `{train}`: `{render}`.*"
+    caption = f"*`{train}` trained this policy. The picture shows a held-out episode: `{render}`.*"
+    return f"![{world(name).summary}](../images/policies/{file})\n\n{caption}"
 
 
 # Index

@@ -97,7 +97,7 @@ class Teaching:
             self._stage, self._imitated_until, self.agreement = stage, -1, 0.0
         self._is_able = bool(found.success_rate) or not defines_success
         success = f"success {found.success_rate:.0%}, " if defines_success else ""
-        explores = "; the training episodes of its pupil explore, and may succeed much less than the evaluations" if self._is_able else ""
+        explores = "; training episodes explore, so they may succeed much less often than evaluations" if self._is_able else ""
         return f"{name if self._is_script else 'the teacher, a recording'}: {success}{mean} in {len(episodes)} episodes{explores}"
 
     def plan(self, steps: int) -> Plan:

@@ -338,12 +338,12 @@ def robot_stays(simulation: Simulation) -> Iterator[Finding]:
             wheels = driven_wheels(next(each for each in simulation.program.robots if each.name == robot), body.model)
             moved = ceil(rolling.distance * 1000)
             headline = f"`{robot}` stays in its place although its wheels turn: it moves by less than {moved} mm"
-            helps = "let the driven wheels carry the robot: raise its skids and casters, or reduce their friction under `links`"
+            help = "let the driven wheels carry the robot: raise its skids and casters, or reduce their friction under `links`"
             yield Finding(
                 "DB322",
                 simulation.values.key_span(("robots", robot)),
                 headline,
-                helps,
+                help,
                 notes=(*_links_beside_wheels(body.model, wheels), simulation.summary),
             )
 

@@ -188,7 +188,7 @@ class Simulator:
         taken = self._steps(environment, rollout)
         next(taken)
         speeds, check_rays = SpeedWatch(environment), self._rays.watch(environment.engine)
-        check_wheels = self._wheels.watch(environment.engine)
+        check_wheels = self._wheels.watch(environment.engine) if report else lambda: None  # a case may have another robot file
         rewards: list[float] = []
         for step in taken:
             rewards.append(step.reward)
