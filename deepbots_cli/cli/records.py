@@ -19,7 +19,7 @@ from deepbots_cli.errors import RunError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.episodes import DrawnBin, Interval, Summary
 from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import EvaluationRecord, Run, TrainingResult, in_parentheses
+from deepbots_cli.learning.run import PATIENCE, EvaluationRecord, Run, TrainingResult, in_parentheses
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.comparison import EngineDifference, GroupDifference, GroupResult
@@ -124,13 +124,13 @@ def training_text(result: TrainingResult) -> str:
         rows["mean return"] = f"{result.mean_return:.1f} over the most recent training episodes, with exploration"
     if result.success_rate is not None:
         rows["success rate"] = f"{result.success_rate:.0%} of these episodes"
-    at = result.solved_at
+    at = result.confirmed_at
     if at is not None:
         took = f"{at.simulated_hours:.3f} simulated h, {at.cpu_seconds:.1f} s of CPU time"
-        # A teacher's pupil may be solved by an evaluation while exploration spoils its own episodes.
-        evaluated = at.steps == result.steps and at.mean_return != result.mean_return
-        rows["solved"] = f"{'by an evaluation after' if evaluated else 'in'} training episode {at.episode:,}, after {took}"
-    rows["stopped by"] = result.stopped_by and f"the callback {result.stopped_by}"
+        rows["solved"] = f"confirmed on new starts after {at.steps:,} steps, {took}"
+    rows["best model"] = result.best_model and result.best_model.text
+    by_callback = result.stopped_by if result.stopped_by == PATIENCE else f"the callback {result.stopped_by}"
+    rows["stopped by"] = result.stopped_by and by_callback
     rows["initialized from"] = result.initialized_from
     lines = [f"training {result.status}", row_as_lines(rows), *(f"note: {reason}" for reason in result.inexact)]
     if result.stop_requested and any(result.run.glob("models/*/best.zip")):  # not before the first checkpoint
@@ -149,7 +149,8 @@ def group_training_text(result: GroupTraining) -> str:
             "steps": found.steps,
             "episodes": found.episodes,
             "recent_return": found.mean_return,
-            "solved_in_episode": found.solved_at.episode if found.solved_at else None,
+            "solved_after": found.confirmed_at.steps if found.confirmed_at else None,
+            "best_at": found.best_model.steps if found.best_model else None,
             "cpu_s": round(found.cpu_seconds, 1),
         }
         for found in result.trained
@@ -175,7 +176,7 @@ def evaluation_text(result: EvaluationResult, cases: Sequence[EvaluationResult] 
     """
     terms = result.term_means if len(result.term_means) > 1 else {}
     rows = {
-        "model": f"{result.run} ({result.model})",
+        "model": f"{result.run} ({result.model}{'' if result.model_steps is None else f', after {result.model_steps:,} steps'})",
         "scenario": scenario,
         "episodes": f"{result.episodes:,} held-out starts from seed {result.seed}{'' if result.deterministic else ', actions sampled'}",
         **_statistics(result, success_defined=result.success_defined),

@@ -118,6 +118,7 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
         spec.train.shards,
         _teacher(namespace, copies),
         spec.train.staleness,
+        spec.train.patience,
     )
 
 

@@ -9,6 +9,8 @@ sb3/             the learner of the built-in algorithms
 checkpoints.py   the whole state of a training, from which it goes on to the bit
 checkpoint_files.py  the files of a checkpoint, and what they may hold
 callbacks.py     what happens during training: evaluations, the best model, scalars, when to stop
+order.py         which of two policies is better, and the best models of a training
+confirmation.py  when a training may stop because its task is solved
 environments.py  how worlds are made: one by one, or as a batch
 shards.py        the worlds of a training, and shards of them with a copy of the policy
 teacher.py       a script or a recording as teacher: when the policy imitates it, and how much
@@ -41,7 +43,7 @@ from deepbots_cli.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.comparison import Comparison, GroupResult, compare, evaluate_group
-    from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, evaluate_baselines, evaluate_cases
+    from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, evaluate_baselines, evaluate_cases, evaluate_trained
     from deepbots_cli.learning.group import resume_group, train_group
     from deepbots_cli.learning.policy import Policy, load_policy
     from deepbots_cli.learning.robustness import Robustness, evaluate_robustness
@@ -50,7 +52,7 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "comparison": ("Comparison", "GroupResult", "compare", "evaluate_group"),
-    "evaluation": ("EvaluationResult", "evaluate", "evaluate_baselines", "evaluate_cases"),
+    "evaluation": ("EvaluationResult", "evaluate", "evaluate_baselines", "evaluate_cases", "evaluate_trained"),
     "group": ("resume_group", "train_group"),
     "policy": ("Policy", "load_policy"),
     "robustness": ("Robustness", "evaluate_robustness"),
@@ -72,6 +74,7 @@ __all__ = [
     "evaluate_cases",
     "evaluate_group",
     "evaluate_robustness",
+    "evaluate_trained",
     "load_policy",
     "resume",
     "resume_group",

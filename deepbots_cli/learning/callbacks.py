@@ -21,18 +21,19 @@ import numpy as np
 import torch
 from pydantic import BaseModel, Field, NonNegativeInt
 
-from deepbots_cli.analysis import unobserved_reads
+from deepbots_cli.analysis import possible_returns, unobserved_reads
 from deepbots_cli.api import build_batch
 from deepbots_cli.errors import RunError
+from deepbots_cli.learning.confirmation import COST_SHARE, Confirmation
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch
-from deepbots_cli.learning.episodes import Statistics, Summary
+from deepbots_cli.learning.episodes import Interval, Statistics, Summary
 from deepbots_cli.learning.failures import FailureRecorder
+from deepbots_cli.learning.order import SHORTLIST, Candidate, Shortlist, measure_of
 from deepbots_cli.learning.report import LINE_INTERVAL_S, Reporter, TrainingProgress
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.run import PATIENCE, Run
 from deepbots_cli.learning.teacher import Plan, TeacherState, Teaching
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.collector import ShardedCollector
 from deepbots_cli.rollout.drivers import named_driver
@@ -48,21 +49,16 @@ if TYPE_CHECKING:
 EVALUATION_EPISODES = 20
 """Starts of an evaluation, the same each time: two networks differ by what they do there, not by their luck."""
 
-CONFIRMATION_EPISODES = 50
-"""Starts of the evaluation that ends a training of an off-policy algorithm: of 20 episodes, a network that succeeds in 85 % of all
-loses at most one in 18 % of the cases; of 50, at most two in 1 %. With the small updates of PPO alone, past episodes show enough."""
-
-TAUGHT_EPISODES = 100
-"""The same with a teacher. Its policy changes quickly, and many evaluations may end the training: each is a chance to pass by luck."""
-
+CONFIRMATION_PART = 40
+"""Episodes of a confirmation until it is checked whether it can still pass; a multiple of the rows of a forward pass."""
 MAX_CHECK_INTERVAL = 2_000
 """Steps after which the callback looks at evaluations, scalars and the progress display; in a short training it does so earlier."""
 
-EVALUATION_SHARE, FINAL_EVALUATION_SHARE, UNLIMITED_SHARE = 0.1, 0.5, math.inf
-"""What evaluations may take of the steps that are trained: little as a rule, half when only one is missing to end the training, as at any
-time with a teacher."""
-OFF_POLICY_SHARE = 2.0
-"""The same with a teacher and an off-policy algorithm, whose steps take 10 to 20 times as long as those of an evaluation: PandaPush."""
+EVALUATION_SHARE, URGENT_SHARE, UNLIMITED_SHARE = 0.1, 0.4, math.inf
+"""Largest ratio of the steps of evaluations to the steps of the training: as a rule, and when one evaluation may end the
+training soon, because its recent episodes meet `solved` or a teacher drives."""
+OFF_POLICY_FACTOR = 5.0
+"""An off-policy algorithm may take so many times more: its steps take 10 to 20 times as long as those of an evaluation."""
 
 
 class Interruption:
@@ -96,11 +92,10 @@ def signals_handled(interruption: Interruption) -> Iterator[None]:
 
 
 class EvaluationWorld:
-    """A world for the evaluations during a training, from starts that neither training nor a later evaluation has."""
+    """A world for the evaluations during a training."""
 
-    def __init__(self, build: WorldFactory, seed: int, run: Run | None = None) -> None:
+    def __init__(self, build: WorldFactory, run: Run | None = None) -> None:
         self._build, self._run = build, run
-        self.seeds: Sequence[int] = [derive_seed(seed, "trial", k) for k in range(TAUGHT_EPISODES)]
         self._scenario: Program | None = None
         self._world: FailureRecorder | None = None
 
@@ -108,22 +103,30 @@ class EvaluationWorld:
         self,
         policy: Predictor,
         scenario: Program,
-        count: int,
+        seeds: Sequence[int],
         stage: str | None,
         numbers: Sequence[int] | None = None,
         on_episode: OnEpisode | None = None,
     ) -> list[Episode]:
-        """The episodes of an evaluation of `count` episodes in `scenario`, which is that of `stage`, or those with these `numbers`."""
+        """An episode from each seed in `scenario`, which is that of `stage`, or only the episodes with these `numbers`."""
         if self._world is None or scenario is not self._scenario:
             self.close()
-            self._world = FailureRecorder(self._build(scenario), self._run, scenario, seeds=self.seeds, stage=stage)
+            self._world = FailureRecorder(self._build(scenario), self._run, scenario, stage=stage)
             self._scenario = scenario
-        return play_episodes(policy, [self._world], self.seeds[:count], deterministic=True, numbers=numbers, on_episode=on_episode)
+        self._world.seeds = seeds
+        return play_episodes(
+            policy,
+            [self._world],
+            seeds,
+            deterministic=True,
+            numbers=numbers,
+            on_episode=on_episode,
+        )
 
-    def play_script(self, name: str, scenario: Program, count: int) -> list[Episode]:
-        """The episodes of a script from the starts of an evaluation."""
+    def play_script(self, name: str, scenario: Program, seeds: Sequence[int]) -> list[Episode]:
+        """The episodes of a script from these seeds."""
         with closing(self._build(scenario)) as world:
-            return [play(world, named_driver(world, name), Start(seed)) for seed in self.seeds[:count]]
+            return [play(world, named_driver(world, name), Start(seed)) for seed in seeds]
 
     def close(self) -> None:
         if self._world is not None:
@@ -131,37 +134,61 @@ class EvaluationWorld:
         self._world = None
 
 
+def evaluation_seeds(seed: int, numbers: range) -> list[int]:
+    """The starts of evaluations during a training with the root seed `seed`, which neither the training nor a later
+    evaluation has. Each evaluation has the first `EVALUATION_EPISODES` of them."""
+    return [derive_seed(seed, "trial", number) for number in numbers]
+
+
+def confirmation_root(seed: int, number: int) -> int:
+    """The root seed of the starts of a confirmation, by its number from 1: six digits, which are easy to repeat."""
+    return 100_000 + derive_seed(seed, "confirmation", number) % 900_000
+
+
 class Evaluator:
-    """Evaluates the current policy without noise: in a batch of worlds if engine and scenario support it, otherwise in the shards of the
-    training if it has several, otherwise in a world of its own."""
+    """Plays held-out episodes of the current policy without noise: in a batch of worlds if engine and scenario support it, otherwise in
+    the shards of the training if it has several, otherwise in a world of its own."""
 
     def __init__(self, build: WorldFactory, seed: int, run: Run | None = None) -> None:
         self.steps = 0
-        """Those of all evaluations."""
+        """Those of all evaluations, without confirmations and the last choice."""
         self.shards: ShardedCollector | None = None
+        self.starts = evaluation_seeds(seed, range(EVALUATION_EPISODES))
+        """The starts of every evaluation."""
         self._build = build
         self._engine = "" if run is None else run.record.engine
-        self._world = EvaluationWorld(build, seed, run)
+        self._world = EvaluationWorld(build, run)
         self._scenario: Program | None = None
         self._batch: BatchSupervisor | None = None
 
-    def run_episodes(
+    def evaluate(self, model: Learner, scenario: Program, interruption: Interruption, stage: str | None = None) -> list[Episode]:
+        """The episodes of an evaluation; arguments and errors are those of `play`."""
+        done = self.play(model, scenario, interruption, self.starts, stage)
+        self.steps += sum(episode.length for episode in done)
+        return done
+
+    def play(
         self,
         model: Learner,
         scenario: Program,
         interruption: Interruption,
-        count: int = EVALUATION_EPISODES,
+        seeds: Sequence[int],
         stage: str | None = None,
+        *,
+        here: bool = False,
     ) -> list[Episode]:
-        """The episodes of an evaluation in `scenario`, which is that of `stage`. The training's random numbers stay as they were.
+        """An episode from each seed in `scenario`, which is that of `stage`. The training's random numbers stay as they were.
+
+        Args:
+            here: Whether to leave out the shards, such as for another model than that of the training.
 
         Raises:
             KeyboardInterrupt: Somebody wants the training to end; it goes on from its last checkpoint, before this evaluation. Shards
                 complete their part first.
         """
-        seeds, state = self._world.seeds[:count], torch.get_rng_state()
+        state = torch.get_rng_state()
 
-        def look(done: int = 0, of: int = count) -> None:
+        def look(done: int = 0, of: int = len(seeds)) -> None:
             if interruption.requested:
                 raise KeyboardInterrupt
 
@@ -172,19 +199,20 @@ class Evaluator:
             if not reasons_against_batch(scenario, EVALUATION_EPISODES, self._engine, self._build):
                 self._batch = build_batch(scenario, EVALUATION_EPISODES, engine=self._engine)
         try:
-            found = None if self._batch is None else play_batch(model, self._batch, seeds, on_episode=look)
-            if found is None and self.shards is not None:
-                found = self.shards.evaluate(model.actor(), count, stage)
-            if found is None:
-                found = self._world.play(model, scenario, count, stage, on_episode=look)
+            episodes = None
+            if self._batch is not None and len(seeds) >= EVALUATION_EPISODES:
+                episodes = play_batch(model, self._batch, seeds, on_episode=look)
+            if episodes is None and self.shards is not None and not here:
+                episodes = self.shards.evaluate(model.actor(), seeds, stage)
+            if episodes is None:
+                episodes = self._world.play(model, scenario, seeds, stage, on_episode=look)
         finally:
             torch.set_rng_state(state)
-        self.steps += sum(episode.length for episode in found)
-        return found
+        return episodes
 
     def play_script(self, name: str, scenario: Program) -> list[Episode]:
         """The episodes of a script from the starts of the evaluations."""
-        return self._world.play_script(name, scenario, EVALUATION_EPISODES)
+        return self._world.play_script(name, scenario, self.starts)
 
     def close(self) -> None:
         self._world.close()
@@ -197,24 +225,28 @@ OnEvaluation = Callable[[Path], str | None]
 """Called after each evaluation of a training with the run directory; returns the name of who stops the training, None to go on."""
 
 
-class ModelRank(NamedTuple):
-    """What makes a model the best: its evaluation has confirmed a solved task, it meets what `solved` asks, the mean return there."""
-
-    confirmed: bool
-    meets_solved: bool
-    mean_return: float
-
-
 class CallbackState(BaseModel, strict=True, allow_inf_nan=False):
-    """What a checkpoint keeps of the callback."""
+    """What a checkpoint keeps of the callback.
+
+    Checkpoints of deepbots 0.1 have no `candidates`, and their confirmations were none.
+    """
 
     next_beat: NonNegativeInt
-    best: tuple[bool, bool, float] | None
-    confirmed: bool
-    solved_seen: bool
+    candidates: Annotated[list[Candidate], Field(max_length=SHORTLIST)] = []
+    confirmations: Annotated[int, Field(ge=0, le=100_000)] = 0
+    confirmation_steps: NonNegativeInt = 0
+    returns: tuple[float, float] | None = None
     evaluated_at: Annotated[int, Field(ge=-1)]
     evaluation_steps: NonNegativeInt
     teacher: TeacherState | None = None
+
+
+class Confirmed(NamedTuple):
+    """The confirmation that showed that the task is solved: the root seed of its starts, its number, and its episodes."""
+
+    seed: int
+    number: int
+    episodes: list[Episode]
 
 
 class TrainingCallback:
@@ -242,9 +274,12 @@ class TrainingCallback:
         self.reporter = reporter
         self.total = total
         self.interruption = Interruption()
-        self.best: ModelRank | None = None
-        self.confirmed = False
-        """Whether the task was solved and an evaluation since then has shown that the networks of that moment solve it."""
+        self.measure = measure_of(run.program.agent.solved, defines_success=run.program.defines_success)
+        self.shortlist = Shortlist(run, self.measure)
+        self.confirmed: Confirmed | None = None
+        """The confirmation that ended the training."""
+        self.chosen_steps = 0
+        """Steps of the episodes that chose the best model after the training."""
         self.evaluation_seconds = 0.0
         """Those of this process, by the clock."""
         self.stopped_by: str | None = None
@@ -252,14 +287,17 @@ class TrainingCallback:
         self.defines_success = run.program.defines_success
         self._on_evaluation = on_evaluation
         self._until_solved = run.record.stop_when_solved
-        self._solved_seen = False
+        self._confirmations, self._confirmation_steps = 0, 0
+        self._returns: Interval | None = None
+        self._kept_candidates: Sequence[Candidate] = ()
+        self._activity = ""
         self._evaluated_at = -1
         self._check_interval = max(1, min(MAX_CHECK_INTERVAL, total // 100))
         self._next_check = 0
         self._check_passed = False
         self._reported = time.monotonic()
         self._evaluations = 0
-        self._evaluated_rate: float | None = None
+        self._evaluated: Candidate | None = None
         self._stop_noted = False
         newest = zip(run.program.agent.numbers, run.program.agent.newest, strict=True)
         self._seen = {number.full_name: place for number, place in newest if number.clip and not number.is_truth}
@@ -270,13 +308,29 @@ class TrainingCallback:
         """Whose training it follows, before it begins."""
         self.learner, self.log = learner, log
 
+    @property
+    def best(self) -> Candidate | None:
+        """The best model so far."""
+        return self.shortlist.best
+
+    @property
+    def evaluation_steps(self) -> int:
+        """Steps of all held-out episodes during the training."""
+        return self.evaluator.steps + self._confirmation_steps + self.chosen_steps
+
+    @property
+    def confirmations(self) -> int:
+        """The number of confirmations so far."""
+        return self._confirmations
+
     def state(self) -> CallbackState:
         self._take_agreement()
         return CallbackState(
             next_beat=self._next_check,
-            best=self.best,
-            confirmed=self.confirmed,
-            solved_seen=self._solved_seen,
+            candidates=self.shortlist.candidates,
+            confirmations=self._confirmations,
+            confirmation_steps=self._confirmation_steps,
+            returns=self._returns,
             evaluated_at=self._evaluated_at,
             evaluation_steps=self.evaluator.steps,
             teacher=None if self.teaching is None else self.teaching.state(),
@@ -284,11 +338,17 @@ class TrainingCallback:
 
     def restore(self, state: CallbackState) -> None:
         self._next_check = state.next_beat
-        self.best = None if state.best is None else ModelRank(*state.best)
-        self.confirmed, self._solved_seen, self._evaluated_at = state.confirmed, state.solved_seen, state.evaluated_at
-        self.evaluator.steps = state.evaluation_steps
+        self._confirmations, self._confirmation_steps = state.confirmations, state.confirmation_steps
+        self._returns, self._evaluated_at = state.returns, state.evaluated_at
+        self._kept_candidates = state.candidates
+        # Older versions spent up to half of the steps on evaluations: without a limit, none would follow for long.
+        self.evaluator.steps = min(state.evaluation_steps, round(URGENT_SHARE * OFF_POLICY_FACTOR * self.statistics.steps))
         if self.teaching is not None and state.teacher is not None:
             self.teaching.restore(state.teacher)
+
+    def restore_models(self) -> None:
+        """Go back to the best models of the checkpoint, once files of the run may change."""
+        self.shortlist.restore(self._kept_candidates)
 
     def plan_lesson(self) -> Plan:
         """What the teacher does next. Episodes that it drives say nothing about the policy, so they do not solve the task."""
@@ -308,7 +368,6 @@ class TrainingCallback:
         drove, plan = teaching.drives, teaching.plan(self.statistics.steps)
         if drove and not teaching.drives:
             self.statistics.recent.clear()
-        self.statistics.final = self.curriculum.is_last and not teaching.drives
         self.log.record("teacher/weight", plan.weight)
         if teaching.demonstrations is None:
             driven = 0 if plan.lesson is None else plan.lesson.worlds
@@ -331,9 +390,9 @@ class TrainingCallback:
 
     def begin_stage(self) -> None:
         """Returns of one stage say nothing in another: the best is sought anew."""
-        self.best = None
+        self.shortlist.clear()
+        self._returns = None
         self.statistics.recent.clear()
-        self.statistics.final = self.curriculum.is_last
 
     def progress(self) -> TrainingProgress:
         s = self.statistics
@@ -341,27 +400,31 @@ class TrainingCallback:
         success_rate, mean_return = s.success_rate if self.defines_success else None, s.mean_return
         if self.is_taught:
             success_rate, mean_return, stage = None, None, f"{stage}; the teacher drives" if stage else "the teacher drives"
-        best = self.best.mean_return if self.best else None
         return TrainingProgress(
-            s.steps, self.total, s.episodes, mean_return, success_rate, stage, s.solved, best, s.period, self._evaluations,
-            self._evaluated_rate,
-        )  # fmt: skip
+            steps=s.steps,
+            total_steps=self.total,
+            episodes=s.episodes,
+            mean_return=mean_return,
+            success_rate=success_rate,
+            stage=stage,
+            solved=s.solved,
+            best=self.best,
+            measure=self.measure,
+            period=s.period,
+            evaluations=self._evaluations,
+            evaluated=self._evaluated,
+            activity=self._activity,
+        )
 
     def _report(self) -> None:
         self._reported = time.monotonic()
         self.reporter.update(self.progress())
 
     def on_step(self) -> bool:
-        solved = self._until_solved and self.statistics.solved_at is not None
-        just_solved = solved and not self._solved_seen
-        if self.statistics.steps >= self._next_check or just_solved:
-            self._solved_seen = solved
+        if self.statistics.steps >= self._next_check:
             self._next_check = self.statistics.steps + self._check_interval
             self._report()
-            taught = OFF_POLICY_SHARE if self.learner.confirms else FINAL_EVALUATION_SHARE
-            usual = EVALUATION_SHARE if self.teaching is None else taught
-            self.evaluate(UNLIMITED_SHARE if just_solved else max(usual, FINAL_EVALUATION_SHARE) if solved else usual)
-            solved = self._until_solved and self.statistics.solved_at is not None
+            self.evaluate(self._evaluation_share())
             self._record_scalars()
             self._check_passed = True
         elif time.monotonic() - self._reported >= LINE_INTERVAL_S:  # in a slow world
@@ -369,7 +432,20 @@ class TrainingCallback:
         if self.interruption.requested and not self._stop_noted:
             self._stop_noted = True
             self.reporter.note(f"stopping after this rollout; continue with: deepbots train --resume {quote(str(self.run.path))}")
-        return not (solved and self.confirmed) and self.stopped_by is None
+        return not (self._until_solved and self.confirmed is not None) and self.stopped_by is None
+
+    def _evaluation_share(self) -> float:
+        """What evaluations may take now of the steps of the training."""
+        share = URGENT_SHARE if self.teaching is not None or self._seems_solved() else EVALUATION_SHARE
+        return share * (OFF_POLICY_FACTOR if self.learner.is_off_policy else 1.0)
+
+    def _seems_solved(self) -> bool:
+        """Whether the recent episodes of the training, with exploration, meet `solved`, which no confirmation has shown."""
+        statistics = self.statistics
+        if statistics.solved_at is not None or statistics.solved is None or not self.curriculum.is_last:
+            return False
+        newest = statistics.newest(EVALUATION_EPISODES)
+        return newest is not None and Summary.of_episodes(newest).meets_solved(statistics.solved)
 
     def on_collected(self) -> None:
         if self._check_passed:  # always False between two rollouts of a checkpoint, which therefore does not keep it
@@ -377,45 +453,117 @@ class TrainingCallback:
             self._record_policy()
 
     def evaluate(self, share: float) -> None:
-        """Evaluate the networks, once there are enough episodes, and keep them as best if none did better.
+        """Evaluate the networks, once there are enough episodes, keep them if they are among the best, and confirm a solved task.
 
         Evaluations do not take more than their `share` of the steps.
         """
         check_finite(self.learner, self.run)
-        steps, solved = self.statistics.steps, self.statistics.solved
-        fits = self.evaluator.steps + EVALUATION_EPISODES * self.statistics.mean_length <= share * steps
-        if not self.statistics.full or steps == self._evaluated_at or not fits:
+        statistics, steps = self.statistics, self.statistics.steps
+        fits = self.evaluator.steps + EVALUATION_EPISODES * statistics.mean_length <= share * steps
+        if statistics.newest(EVALUATION_EPISODES) is None or steps == self._evaluated_at or not fits:
             return
         began = time.monotonic()
         scenario, stage = self.curriculum.scenario_of(self.curriculum.index), self.curriculum.name
-        done = self.evaluator.run_episodes(self.learner, scenario, self.interruption, stage=stage)
-        # A policy that imitates a precise script may never meet `solved` while it explores.
-        is_taught = self.teaching is not None and self.curriculum.is_last and self.statistics.solved_at is None
-        ends = is_taught or self.statistics.solved_at is not None
-        count = TAUGHT_EPISODES if self.teaching is not None else CONFIRMATION_EPISODES if self.learner.confirms else 0
-        if ends and count and Summary.of_episodes(done).meets_solved(solved):
-            done = self.evaluator.run_episodes(self.learner, scenario, self.interruption, count, stage)
-        self.evaluation_seconds += time.monotonic() - began
+        done = self.evaluator.evaluate(self.learner, scenario, self.interruption, stage)
         summary = Summary.of_episodes(done)
         self._evaluated_at = steps
+        meets = summary.meets_solved(statistics.solved)
         if self.teaching is not None:
-            is_solved = summary.meets_solved(solved)
-            self.teaching.on_evaluation(summary, steps, defines_success=self.defines_success, is_solved=is_solved)
-        self.confirmed = ends and summary.meets_solved(solved) and (self.teaching is None or _is_clear(summary, solved))
-        if self.confirmed and is_taught:
-            self.statistics.note_solved(summary.mean_return, summary.success_rate or 0.0)
-        self._evaluated_rate = summary.success_rate if self.defines_success else None
-        rank = ModelRank(self.confirmed, summary.meets_solved(solved), summary.mean_return)
-        if self.best is None or rank >= self.best:  # of equals the later one, which has seen more
-            self.best = rank
-            self.learner.save(self.run.model("best"))
-        self._log(done, summary, is_best=rank == self.best)
+            self.teaching.on_evaluation(summary, steps, defines_success=self.defines_success, is_solved=meets)
+        lowest, highest = (summary.least_return, summary.greatest_return)
+        seen = self._returns or (lowest, highest)
+        self._returns = min(seen[0], lowest), max(seen[1], highest)
+        self._evaluated = Candidate.of(steps, summary)
+        is_best = self.shortlist.add(self._evaluated, self.learner.save)
+        self._log(done, summary, is_best=is_best)
         self._evaluations += 1
         if self._on_evaluation is not None:
             self.stopped_by = self._on_evaluation(self.run.path)
         self._report()
-        if self.curriculum.add_evaluation(summary.mean_return, summary.success_rate, steps, self.statistics.episodes):
+        if meets and self.curriculum.is_last and statistics.solved_at is None:
+            self._confirm(scenario, stage)
+        self.evaluation_seconds += time.monotonic() - began
+        if self.curriculum.add_evaluation(summary.mean_return, summary.success_rate, steps, statistics.episodes):
             self.begin_stage()
+        self._check_patience()
+
+    def _confirm(self, scenario: Program, stage: str | None) -> None:
+        """Play new starts to show that the present networks solve the task, unless failed confirmations took their share of the steps."""
+        statistics, number = self.statistics, self._confirmations + 1
+        if number > 1 and self._confirmation_steps > COST_SHARE * statistics.steps:
+            return
+        assert statistics.solved is not None
+        plan = Confirmation.plan(statistics.solved, number, self._possible_returns())
+        if plan is None:
+            return
+        self._activity = f"confirming on {plan.episodes:,} new starts: needs {plan.requirement}"
+        self._report()
+        root = confirmation_root(self.run.record.seed, number)
+        done: list[Episode] = []
+        while len(done) < plan.episodes and not plan.is_lost(done):
+            part = range(len(done), min(plan.episodes, len(done) + CONFIRMATION_PART))
+            seeds = [Start.of_evaluation(root, start).seed or 0 for start in part]
+            done += self.evaluator.play(self.learner, scenario, self.interruption, seeds, stage)
+        self._confirmations, self._activity = number, ""
+        self._confirmation_steps += sum(episode.length for episode in done)
+        summary = Summary.of_episodes(done)
+        if plan.passes(done):
+            self.confirmed = Confirmed(root, number, done)
+            statistics.note_solved(summary.mean_return, summary.success_rate)
+            if self._until_solved:
+                assert self._evaluated is not None
+                self.shortlist.put_first(self._evaluated.joined(summary), self.learner.save)
+        else:
+            successes = f"{summary.successes:,} of {summary.episodes:,} new starts succeed"
+            score = successes if plan.successes else f"a mean return of {summary.mean_return:.4g} on {summary.episodes:,} new starts"
+            self.reporter.note(f"not confirmed after {statistics.steps:,} steps: {score}; the training goes on")
+
+    def _possible_returns(self) -> Interval:
+        """The lowest and the highest return: the possible ones, or where they are unknown, those of all evaluations so far."""
+        low, high = possible_returns(self.run.program)
+        assert self._returns is not None
+        return low if math.isfinite(low) else self._returns[0], high if math.isfinite(high) else self._returns[1]
+
+    def _check_patience(self) -> None:
+        """Stop a training whose evaluations have not been better for as many steps as `patience` says."""
+        training, best = self.run.program.agent.training, self.best
+        if training is None or training.patience is None or best is None or self.stopped_by is not None:
+            return
+        if self.statistics.steps - best.steps >= training.patience:
+            self.stopped_by = PATIENCE
+            self.reporter.note(f"no better model since {best.steps:,} steps (`patience: {training.patience}`); the training stops")
+
+    def choose_best(self, load: Callable[[Path], Learner]) -> None:
+        """After the training: play new starts with the models of the best evaluations, and keep the best one.
+
+        Args:
+            load: Makes a policy from the file of a model.
+        """
+        if self.confirmed is not None and self._until_solved:
+            return
+        scenario, stage = self.curriculum.scenario_of(self.curriculum.index), self.curriculum.name
+        count, before = len(self.shortlist.candidates), self.best
+
+        def play(model: Path, numbers: range) -> list[Episode]:
+            first = EVALUATION_EPISODES
+            seeds = evaluation_seeds(self.run.record.seed, range(first + numbers.start, first + numbers.stop))
+            return self.evaluator.play(load(model), scenario, self.interruption, seeds, stage, here=True)
+
+        if count < 2 or before is None:
+            return
+        self._activity = f"playing new starts with the {count} best models"
+        self._report()
+        self.chosen_steps = self.shortlist.choose(play, COST_SHARE * self.statistics.steps)
+        self._activity = ""
+        best = self.best
+        if best is not None and self.chosen_steps:
+            self.reporter.note(
+                f"of the {count} best models, that of {best.steps:,} steps is the best on new starts ({self.describe(best)})"
+            )
+
+    def describe(self, model: Candidate) -> str:
+        """The result of a model in words."""
+        return model.text(self.measure, defines_success=self.defines_success)
 
     def _log(self, done: Sequence[Episode], summary: Summary, *, is_best: bool) -> None:
         self.log.record("eval/mean_return", summary.mean_return)
@@ -477,15 +625,6 @@ class TrainingCallback:
     def on_end(self) -> None:
         self._record_scalars()
         self.log.dump(self.learner.steps)
-
-
-def _is_clear(found: Summary, solved: Solved | None) -> bool:
-    """Whether a success rate is in the upper three quarters of what meets `solved`: 92.5 % where 90 % are required.
-
-    Of 100 episodes, a policy of 85 % then passes in 1 % of the cases, and one of 95 % in 87 %.
-    """
-    required = None if solved is None else solved.success_rate
-    return required is None or (found.success_rate or 0.0) >= required + (1.0 - required) / 4.0
 
 
 def check_finite(learner: Learner, run: Run) -> None:

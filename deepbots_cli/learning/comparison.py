@@ -36,7 +36,7 @@ class GroupResult:
 
     Statistics are over the seeds, with one score per run: its mean return, or its success rate. Intervals are Student's at 95 %, cut at
     the bounds of the score, None for a single run. `waiting` are the seeds of the group that have no model yet. `solved_after` are the
-    steps after which the training of each run first met `solved`, None where it did not.
+    steps after which a confirmation showed that each run solves its task, None where none did.
     """
 
     name: str
@@ -341,7 +341,7 @@ def _open_runs(group: Group) -> _GroupMembers:
 
 def _solved_after(run: Run) -> int | None:
     result = run.record.result
-    return result.solved_at.steps if result is not None and result.solved_at is not None else None
+    return result.confirmed_at.steps if result is not None and result.confirmed_at is not None else None
 
 
 def _difference(first: GroupResult, group: GroupResult) -> GroupDifference:

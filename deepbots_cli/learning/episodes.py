@@ -124,7 +124,11 @@ def read_log(path: Path, *, tail: int | None = None) -> list[dict[str, str]]:
 
 @dataclass(frozen=True)
 class SolvedAt:
-    """When the training first met the scenario's `solved`; CPU time counts from the start of the training."""
+    """When a confirmation first showed that the task is solved, with its mean return and success rate.
+
+    `cpu_seconds` counts from the start of the training. Versions before 0.2 took the recent episodes of the training
+    instead of a confirmation.
+    """
 
     episode: int
     steps: int
@@ -151,8 +155,6 @@ class Statistics:
         """`period` is the time that a step of the agent takes, in s."""
         self.period = period
         self.solved = solved
-        self.final = True
-        """Whether the training is in its last stage, so that the task may count as solved."""
         self.steps = 0
         self.episodes = 0
         self.cpu_seconds_before = 0.0
@@ -174,10 +176,10 @@ class Statistics:
         """Of this training, without the start of Python, and with what it took before it was resumed."""
         return self.cpu_seconds_before + time.process_time() - self._began
 
-    @property
-    def full(self) -> bool:
-        """Whether the moving means stand on as many episodes as they should."""
-        return len(self.recent) == self.recent.maxlen
+    def newest(self, count: int) -> list[Episode] | None:
+        """The newest `count` episodes, or all recent ones if the means are over fewer; None while there are not so many."""
+        wanted = min(count, self.recent.maxlen or count)
+        return list(self.recent)[-wanted:] if len(self.recent) >= wanted else None
 
     @property
     def mean_return(self) -> float | None:
@@ -208,14 +210,9 @@ class Statistics:
         if not present:
             return
         self.recent.append(episode)
-        if self.solved is None or self.solved_at is not None or not self.full or not self.final:
-            return
-        mean, rate = self.mean_return, self.success_rate
-        if mean is not None and rate is not None and meets_solved(self.solved, mean, rate):
-            self.note_solved(mean, rate)
 
     def note_solved(self, mean_return: float, success_rate: float) -> None:
-        """The task is solved, with this mean return and success rate, from now on."""
+        """A confirmation with this mean return and success rate has shown that the task is solved."""
         self.solved_at = SolvedAt(self.episodes, self.steps, self.simulated_hours, self.cpu_seconds, mean_return, success_rate)
 
     def state(self) -> StatisticsState:
@@ -263,8 +260,14 @@ class Summary:
     term_means: Mapping[str, float]
 
     @classmethod
-    def of_episodes(cls, done: Sequence[Episode], bounds: Interval = UNBOUNDED) -> Summary:
-        """The summary of at least one episode; `bounds` are those of a return."""
+    def of_episodes(cls, done: Sequence[Episode], bounds: Interval = UNBOUNDED, error: float = 0.05) -> Summary:
+        """The summary of at least one episode.
+
+        Args:
+            done: The episodes.
+            bounds: The possible returns.
+            error: The probability that an interval misses the true value.
+        """
         # scipy is imported here: commands that only read runs work without it.
         from deepbots_cli.learning.statistics import interquartile_mean, mean_interval, wilson
 
@@ -275,13 +278,13 @@ class Summary:
             episodes=len(done),
             mean_return=fmean(returns),
             std_return=stdev(returns) if len(returns) > 1 else None,
-            return_interval=mean_interval(returns, bounds),
+            return_interval=mean_interval(returns, bounds, error),
             interquartile_mean=interquartile_mean(returns),
             least_return=min(returns),
             greatest_return=max(returns),
             successes=successes,
             success_rate=successes / len(done),
-            success_interval=wilson(successes, len(done)),
+            success_interval=wilson(successes, len(done), error),
             mean_length=fmean(episode.length for episode in done),
             endings=dict(Counter(episode.ended_by or "unknown" for episode in done).most_common()),
             term_means={name: fmean(episode.terms.get(name, 0.0) for episode in done) for name in names},

@@ -20,6 +20,7 @@ from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import learner
+from deepbots_cli.learning.confirmation import error_level
 from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch, supervisor_factory
 from deepbots_cli.learning.episodes import UNBOUNDED, DrawnBin, Summary, by_drawn_value
 from deepbots_cli.learning.failures import FailureRecorder
@@ -27,7 +28,8 @@ from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.run import ModelName, Run, in_parentheses, remark_on_episodes
 from deepbots_cli.learning.sb3.algorithms import torch_settings
 from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, Spread, Watcher, results
-from deepbots_cli.learning.verdict import solved_verdict
+from deepbots_cli.learning.statistics import ALPHA
+from deepbots_cli.learning.verdict import quoted_episodes, solved_verdict
 from deepbots_cli.program import identity
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import RANDOM, ZERO, named_driver
@@ -53,6 +55,9 @@ class EvaluationResult(Summary):
         elsewhere: Name of the scenario if it is not that of the training; `set` are the assignments of `--set`, `digest` is its digest.
         agent: Name of the agent whose return is reported.
         model: `best`, `last`, or the name of a baseline: `random`, `zero`, `script NAME`.
+        model_steps: The steps of the training after which the model was saved; None for a baseline.
+        confirmation: The number of the confirmation that ended the training, if these are its episodes. The intervals then cover all
+            confirmations of the training together.
         planned: Requested number of episodes; larger than `episodes` if a requirement stopped the evaluation early.
         circumstances: Differences from an evaluation of the best model in the scenario of the training, in words.
         success_defined: Whether the scenario defines success; if not, the success rate is 0 without a meaning.
@@ -73,6 +78,8 @@ class EvaluationResult(Summary):
     digest: str
     agent: str
     model: str
+    model_steps: int | None
+    confirmation: int | None
     seed: int
     planned: int
     required_episodes: int | None
@@ -128,8 +135,9 @@ def evaluate(
 
     Args:
         run: The run, or its directory.
-        episodes: Number of episodes; by default that of the scenario.
-        seed: Root seed of the episodes, from 0; by default that of the training.
+        episodes: Number of episodes; by default that of the scenario, or as many as its `solved` asks for if these are more.
+        seed: Root seed of the episodes, from 0; by default that of the training, or that of the confirmation which ended the training:
+            an evaluation of the best model then repeats it.
         deterministic: Whether the policy takes its most likely action; otherwise it samples actions, also from seeded streams.
         model: `best` (by evaluations during the training) or `last`.
         scenario: Another scenario to evaluate in, as for `train`; its observation, action and messages must be those of the run.
@@ -208,6 +216,30 @@ class _Finished(Watcher):
 
     def on_done(self, item: int, outcome: object) -> None:
         self.on_report(item, len(outcome) if isinstance(outcome, list) else None)
+
+
+def confirmation_result(run: Run, number: int, seed: int, done: Sequence[Episode]) -> EvaluationResult:
+    """The confirmation that ended a training as an evaluation of its best model.
+
+    Args:
+        run: The run.
+        number: The number of the confirmation, from 1.
+        seed: The root seed of its starts.
+        done: Its episodes.
+    """
+    return _Setting(run, len(done), seed).result("best", done, confirmation=number)
+
+
+def evaluate_trained(run: Run, *, permissions: Permissions = Permissions(), on_episode: OnEpisode | None = None) -> EvaluationResult:
+    """The evaluation after a training: the confirmation that ended it, or else new episodes.
+
+    The confirmation is kept in the run already.
+    """
+    quoted = quoted_episodes(run)
+    if quoted is None or quoted[1].confirmation is None:
+        return evaluate(run, permissions=permissions, on_episode=on_episode)
+    kept = quoted[1]
+    return confirmation_result(run, kept.confirmation or 1, kept.seed, kept.outcomes)
 
 
 def until_enough(result: EvaluationResult, until: StopCondition, run: Run, **options: Any) -> EvaluationResult:
@@ -313,8 +345,10 @@ class _Setting:
             lines = "\n  ".join(differences)
             raise RunError(f"{run.path} was trained with other observations, actions or messages than {program.name} defines:\n  {lines}")
         usual = program.evaluation.episodes if case is None else program.case(case).episodes
+        if program.agent.solved is not None and case is None:
+            usual = max(usual, program.agent.solved.episodes)
         self.program, self.case, self.stage = program.variant(case, stage), case, stage
-        self.episodes, self.seed = usual if episodes is None else episodes, run.record.seed if seed is None else seed
+        self.episodes, self.seed = usual if episodes is None else episodes, run.evaluation_seed if seed is None else seed
         if self.episodes < 1 or self.seed < 0:
             raise UsageError(f"episodes must be at least 1 and the seed at least 0, not {self.episodes} and {self.seed}")
         engine = engine or run.engine_for(self.program)
@@ -344,11 +378,14 @@ class _Setting:
             model = load_model(self.run, policy.model, worlds[0])
             return play_episodes(model, worlds, seeds, deterministic=policy.deterministic, on_episode=on_episode, until=until)
 
-    def result(self, model: str, done: Sequence[Episode], *, deterministic: bool = True) -> EvaluationResult:
-        """What these episodes come to."""
+    def result(
+        self, model: str, done: Sequence[Episode], *, deterministic: bool = True, confirmation: int | None = None
+    ) -> EvaluationResult:
+        """The result of these episodes; `confirmation` is the number of the confirmation that they are."""
         run, program, engine, solved = self.run, self.program, self.engine, self.program.agent.solved
         low, high = possible_returns(program) if engine else UNBOUNDED  # a world of the caller may pay anything
-        found = Summary.of_episodes(done, (low, high))
+        file = self.run.model(model)
+        found = Summary.of_episodes(done, (low, high), ALPHA if confirmation is None else error_level(confirmation))
         is_solved, verdict = solved_verdict(solved, found.episodes, found.mean_return, found.success_rate)
         digest = (self.judged or run).digest
         elsewhere, overrides = (None, ()) if self.judged is None or digest == run.record.digest else self._elsewhere(self.judged)
@@ -361,11 +398,16 @@ class _Setting:
         circumstances += [f"engine {engine}, trained in {run.record.engine}"] if engine not in (None, run.record.engine) else []
         circumstances += [f"{model} model" if model == "last" else f"actions of {model}"] if model != "best" else []
         circumstances += ["actions sampled"] if not deterministic else []
+        notes = [*run.notes(), *identity.timing_differences(run.program, program)]
+        if confirmation is not None:
+            notes.append(f"these starts confirmed that the task is solved (confirmation {confirmation}), and ended the training")
         return EvaluationResult(
             **vars(found),
             run=run.path,
             scenario=program.name,
             model=model,
+            model_steps=learner.steps_of(file) if file.is_file() else None,
+            confirmation=confirmation,
             success_defined=program.defines_success,
             solved=is_solved,
             verdict=verdict + in_parentheses((*circumstances, *remark_on_episodes(len(done), self.episodes, None))),
@@ -381,7 +423,7 @@ class _Setting:
             planned=self.episodes,
             required_episodes=solved.episodes if solved else None,
             deterministic=deterministic,
-            notes=(*run.notes(), *identity.timing_differences(run.program, program)),
+            notes=tuple(notes),
             outcomes=tuple(done),
             return_bounds=(low if low > -math.inf else None, high if high < math.inf else None),
         )

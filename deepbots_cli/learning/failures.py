@@ -83,7 +83,7 @@ class FailureRecorder(HistoryRecorder):
         stage: str | None = None,
     ) -> None:
         super().__init__(world)
-        self._run, self._program, self._seeds, self._episode = run, program, seeds, episode
+        self._run, self._program, self.seeds, self._episode = run, program, seeds, episode
         self._case, self._stage = case, stage
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -126,7 +126,7 @@ class FailureRecorder(HistoryRecorder):
         if isinstance(error, UsageError):
             raise error
         start = self.history.start
-        number = 1 + self._seeds.index(start) if isinstance(start, int) and start in self._seeds else self._episode()
+        number = 1 + self.seeds.index(start) if isinstance(start, int) and start in self.seeds else self._episode()
         text = _failure_text(str(error), number, self.history, run=self._run, case=self._case, stage=self._stage)
         raise type(error)(text) from error
 

@@ -84,8 +84,8 @@ class Learner(ABC):
     """Whether `predict` uses action masks."""
     takes_callbacks = True
     """Whether it calls the `followers` of `begin`."""
-    confirms = False
-    """Whether one evaluation is not enough to end a training, since updates are large."""
+    is_off_policy = False
+    """Whether it learns from a replay buffer, so that a step of the training takes much longer than one of an evaluation."""
     device = "cpu"
     setup: Setup
     steps: int

@@ -20,6 +20,7 @@ from deepbots_cli.learning.episodes import WINDOW_EPISODES, read_log
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.run import (
     DEMONSTRATIONS_NAME,
+    ChosenBy,
     EvaluationRecord,
     RunRecord,
     changed_settings,
@@ -46,9 +47,10 @@ class ListedRun:
     its members. `score` says what the return and the success rate are of. `evaluation`: the quoted evaluation (`quoted_evaluation`) of
     `evaluated_episodes` episodes; `remarks` say how it differs from a usual one. `training`: the recent episodes of the training, in
     which the policy explores.
-    `settings` are the assignments of `--set`, `teacher` is that of `teacher_of`. `success_rate` is None where the scenario
-    defines no success. `solved` is that of `run_verdict`. Of a run that trains, `cpu_seconds` is as old as its last checkpoint. `updated`
-    is a time in UTC, `problem` why the files cannot be read.
+    `solved_after` are the steps after which a confirmation showed that the task is solved, `best_steps` those of the best model, and
+    `chosen_by` says what chose it. `settings` are the assignments of `--set`, `teacher` is that of `teacher_of`. `success_rate` is
+    None where the scenario defines no success. `solved` is that of `run_verdict`. Of a run that trains, `cpu_seconds` is as old as its
+    last checkpoint. `updated` is a time in UTC, `problem` why the files cannot be read.
     """
 
     path: Path
@@ -69,7 +71,9 @@ class ListedRun:
     score: Literal["evaluation", "training"] | None = None
     evaluated_episodes: int | None = None
     solved: bool | None = None
-    solved_in_episode: int | None = None
+    solved_after: int | None = None
+    best_steps: int | None = None
+    chosen_by: ChosenBy | None = None
     remarks: tuple[str, ...] = ()
     cpu_seconds: float | None = None
     updated: str = ""
@@ -118,7 +122,10 @@ def _listed_run(path: Path) -> ListedRun:
         mean, success = (result.mean_return, result.success_rate) if result else (None, None)
     if evaluation is None and not _defines_success(path):
         success = None
-    solved_at = result.solved_at if result else None
+    confirmed_at, best = (result.confirmed_at, result.best_model) if result else (None, None)
+    steps_of_best = evaluation.model_steps if evaluation is not None else None
+    if steps_of_best is None and best is not None:
+        steps_of_best = best.steps
     return ListedRun(
         path,
         state,
@@ -139,7 +146,9 @@ def _listed_run(path: Path) -> ListedRun:
         evaluated_episodes=evaluation.episodes if evaluation else None,
         remarks=evaluation.remarks if evaluation else (),
         solved=verdict.solved,
-        solved_in_episode=solved_at.episode if solved_at else None,
+        solved_after=confirmed_at.steps if confirmed_at else None,
+        best_steps=steps_of_best,
+        chosen_by=best.chosen_by if best else None,
         cpu_seconds=result.cpu_seconds if result and state != "training" else _cpu_of_checkpoint(path),
         updated=record.updated,
     )

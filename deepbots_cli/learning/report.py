@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from pydantic import BaseModel
 
+from deepbots_cli.learning.order import Candidate, Measure
 from deepbots_cli.learning.run import TrainingResult
 from deepbots_cli.learning.spread import Watcher
 from deepbots_cli.program.task import Solved
@@ -52,9 +53,9 @@ class TrainingProgress:
     """How far a training is.
 
     The means are over the recent episodes, None before the first has ended; the success rate is None too where the scenario defines no
-    success. `solved` is the criterion of the scenario, `best_return` the mean return of the best model in its evaluation, `stage` the
-    stage of the curriculum with its criterion, for people to read. `period` is the time of a step in s, `evaluations` their number in
-    this process, and `evaluated_success` the success rate of the last one.
+    success. `solved` is the criterion of the scenario, `best` the best model by the measure of the task, `evaluated` that of the last
+    evaluation, `stage` the stage of the curriculum with its criterion, for people to read. `period` is the time of a step in s,
+    `evaluations` their number in this process, and `activity` what the training does beside learning, such as a confirmation.
     """
 
     steps: int
@@ -64,10 +65,12 @@ class TrainingProgress:
     success_rate: float | None
     stage: str = ""
     solved: Solved | None = None
-    best_return: float | None = None
+    best: Candidate | None = None
+    measure: Measure = "mean_return"
     period: float = 0.0
     evaluations: int = 0
-    evaluated_success: float | None = None
+    evaluated: Candidate | None = None
+    activity: str = ""
 
 
 class Reporter:
@@ -118,11 +121,16 @@ class ProgressReporter(Reporter):
         now = time.perf_counter()
         speed = (progress.steps - self._first) / max(1e-9, now - self._began)
         if self._live is not None:
-            if now - self._shown >= REFRESH_INTERVAL_S or progress.steps >= progress.total_steps:
+            is_urgent = progress.steps >= progress.total_steps or progress.activity
+            if now - self._shown >= REFRESH_INTERVAL_S or is_urgent:
                 self._live.update(_table(progress, speed, now - self._began), refresh=True)
                 self._shown = now
             return
         tenth, since = 10 * progress.steps // progress.total_steps, now - self._shown
+        if progress.activity:
+            print(f"{progress.steps:,} of {progress.total_steps:,} steps  {progress.activity} ...", file=self._stream, flush=True)
+            self._shown = now
+            return
         evaluated = progress.evaluations > self._evaluations and since >= EVALUATION_INTERVAL_S
         if tenth > self._tenth or evaluated or since >= LINE_INTERVAL_S:
             values = progress_values(progress, speed)
@@ -191,7 +199,7 @@ class GroupProgressReporter(GroupReporter):
         if isinstance(outcome, TrainingResult):
             state = outcome.status
             known = self._progress.get(item, TrainingProgress(0, outcome.total_timesteps, 0, None, None))
-            final = {name: getattr(outcome, name) for name in ("steps", "episodes", "mean_return", "success_rate", "best_return")}
+            final = {name: getattr(outcome, name) for name in ("steps", "episodes", "mean_return", "success_rate")}
             self._progress[item] = replace(known, **final)
         self._states[item] = state
         if self._live is None and outcome is not None:
@@ -292,10 +300,13 @@ def progress_values(progress: TrainingProgress, speed: float) -> dict[str, str]:
     if progress.mean_return is not None:
         goal = f" of {solved.mean_return:g}" if solved and solved.mean_return is not None else ""
         rows["return"] = f"{progress.mean_return:.1f}{goal}"
-    if progress.evaluated_success is not None:
-        rows["last evaluation"] = f"{progress.evaluated_success:.0%} success"
-    if progress.best_return is not None:
-        rows["best evaluation"] = f"return {progress.best_return:.1f}"
+    for name, model in (("last evaluation", progress.evaluated), ("best evaluation", progress.best)):
+        if model is not None:
+            is_rate = progress.measure == "success_rate"
+            score = f"{model.success_rate:.0%} success" if is_rate else f"return {model.mean_return:.4g}"
+            rows[name] = score if name == "last evaluation" else f"{score} at {model.steps:,} steps"
+    if progress.activity:
+        rows["now"] = progress.activity
     if progress.stage:
         rows["stage"] = progress.stage
     rows["episodes"] = f"{progress.episodes:,}"

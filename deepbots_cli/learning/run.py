@@ -69,6 +69,46 @@ _FILES = (RECORD_NAME, RESOLVED_NAME, "monitor.csv", ".lock")
 _FOLDERS = (INPUTS_FOLDER, "tensorboard", "models", "evaluations", "logs", "checkpoints", "failures")
 
 
+PATIENCE = "patience"
+"""What `stopped_by` says of a training that did not get better."""
+ChosenBy = Literal["confirmation", "new starts", "evaluation", "return"]
+
+
+class BestModel(BaseModel):
+    """The model that a training kept as its best.
+
+    Attributes:
+        steps: The steps of the training after which it was saved; None where this was not recorded.
+        chosen_by: `confirmation`: it ended the training. `new starts`: the models of the best evaluations played new
+            starts. `evaluation`: there was no second model, or the training was interrupted. `return`: by the mean return
+            of an evaluation, in versions before 0.2.
+        measure: What the task asks for, by which it was chosen.
+        episodes: The held-out episodes that chose it, of which the other values are; they are better than those of new
+            episodes on average, because they chose it.
+        success_rate: None where the scenario defines no success.
+    """
+
+    model_config = ConfigDict(frozen=True, strict=True)
+
+    steps: int | None = None
+    chosen_by: ChosenBy
+    measure: Literal["success_rate", "mean_return"]
+    episodes: int | None = None
+    success_rate: float | None = None
+    mean_return: float
+
+    @property
+    def text(self) -> str:
+        """`after 35,288 steps, by success rate on new starts`."""
+        after = "" if self.steps is None else f"after {self.steps:,} steps, "
+        if self.chosen_by == "return":
+            return f"{after}chosen by return in an evaluation, by a version before 0.2"
+        if self.chosen_by == "confirmation":
+            return f"{after}by the confirmation that ended the training"
+        where = "on new starts" if self.chosen_by == "new starts" else f"in an evaluation of {self.episodes} episodes"
+        return f"{after}by {self.measure.replace('_', ' ')} {where}"
+
+
 class RunResult(BaseModel):
     """How a training ended, or how far it has come.
 
@@ -76,10 +116,14 @@ class RunResult(BaseModel):
         status: How it ended. An interrupted training keeps everything learned; `resume(run)` continues it.
         steps: Number of steps, summed over all rows of the environment, without `evaluation_steps`.
         mean_return: Mean return of the recent episodes, like `success_rate`; None if no episode has ended.
-        best_return: Mean return of the best model in its evaluation; None if there were too few episodes for an evaluation.
-        evaluation_steps: Steps of all evaluations during the training.
+        best: The best model; None if there were too few episodes for an evaluation. `best_return` is read from records of versions
+            before 0.2.
+        evaluation_steps: Steps of all held-out episodes during the training.
+        confirmations: How often a confirmation of a solved task began.
+        confirmed_seed: The root seed of the starts that confirmed the task and ended the training; None if none did.
         stage: The stage of the curriculum in which the training ended; `stages` are the stages before it.
-        stopped_by: Name of the callback that stopped the training; `tune` where a study ended a trial.
+        stopped_by: Name of the callback that stopped the training; `tune` where a study ended a trial, `patience` where no evaluation
+            was better for long enough.
         inexact: Reasons why a resumed training differs from one without interruption.
     """
 
@@ -91,7 +135,8 @@ class RunResult(BaseModel):
     episodes: int
     mean_return: float | None
     success_rate: float | None
-    best_return: float | None
+    best: BestModel | None = None
+    best_return: float | None = Field(default=None, exclude=True)
     simulated_hours: float
     evaluation_steps: int
     solved_at: SolvedAt | None
@@ -102,6 +147,20 @@ class RunResult(BaseModel):
     stages: tuple[CompletedStage, ...] = ()
     stopped_by: str | None = None
     inexact: tuple[str, ...] = ()
+    confirmations: int = 0
+    confirmed_seed: int | None = None
+
+    @property
+    def confirmed_at(self) -> SolvedAt | None:
+        """When a confirmation showed that the task is solved. Versions before 0.2 had no confirmations."""
+        return self.solved_at if self.confirmations else None
+
+    @property
+    def best_model(self) -> BestModel | None:
+        """`best`, also of a record of a version before 0.2, which has the return alone."""
+        if self.best is not None or self.best_return is None:
+            return self.best
+        return BestModel(chosen_by="return", measure="mean_return", mean_return=self.best_return)
 
 
 class TrainingResult(RunResult):
@@ -245,6 +304,13 @@ class Run:
     def model(self, name: str, agent: str = ONLY_AGENT) -> Path:
         return self.path / "models" / agent / f"{name}.zip"
 
+    @property
+    def evaluation_seed(self) -> int:
+        """The root seed of an evaluation by default: that of the confirmation which ended the training, so that it is repeated, or else
+        that of the training."""
+        result = self.record.result
+        return self.record.seed if result is None or result.confirmed_seed is None else result.confirmed_seed
+
     def engine_for(self, program: Program) -> str:
         """The engine to evaluate in: that of `program` if it names another than the run's scenario, else the engine of the training."""
         own = program.engine is not None and program.engine != self.program.engine
@@ -320,7 +386,8 @@ class Run:
 class EvaluationRecord(BaseModel):
     """An evaluation as `evaluations/NNNN.json` of a run keeps it, without its episodes.
 
-    Fields are those of `EvaluationResult`. `evaluated` is a time in UTC. Evaluations of older versions have no `digest`.
+    Fields are those of `EvaluationResult`. `evaluated` is a time in UTC. Evaluations of older versions have no `digest` and no
+    `model_steps`.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -328,6 +395,8 @@ class EvaluationRecord(BaseModel):
     evaluated: str
     agent: str = ONLY_AGENT
     model: str
+    model_steps: int | None = None
+    confirmation: int | None = None
     case: str | None = None
     stage: str | None = None
     seed: int
@@ -371,7 +440,8 @@ class EvaluationRecord(BaseModel):
             text += f" (95 % interval {{:.4g}} .. {{:.4g}}{equal})".format(*self.return_interval)
         if self.success_rate is not None and self.success_interval is not None:
             text += f", success rate {self.success_rate:.1%} (95 % interval {{:.1%}} .. {{:.1%}})".format(*self.success_interval)
-        return f"{text}, over {self.episodes:,} held-out episodes from seed {self.seed}{in_parentheses(self.remarks)}"
+        of = "" if self.model_steps is None else f" of the model after {self.model_steps:,} steps"
+        return f"{text}, over {self.episodes:,} held-out episodes{of}, from seed {self.seed}{in_parentheses(self.remarks)}"
 
 
 def in_parentheses(remarks: Iterable[str]) -> str:

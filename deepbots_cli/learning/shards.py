@@ -144,7 +144,7 @@ class Shard:
         self._notes: list[str] = []
         self._stage, self._next_episode = 0, 1
         self._policy: Learner | None = None
-        self._evaluation = EvaluationWorld(build, run.record.seed, run)
+        self._evaluation = EvaluationWorld(build, run)
 
     def begin(self, episodes: Sequence[RunningEpisode]) -> Any:
         """Bring the worlds to the end of these episodes; the observations."""
@@ -203,9 +203,10 @@ class Shard:
         """Play the episodes of this shard: one of `shards`, in turn."""
         policy = self._begun()
         policy.actor().load(order.parameters)
-        numbers = range(self._number, order.episodes, self._training.shards)
+        numbers = range(self._number, len(order.seeds), self._training.shards)
+        scenario = self._run.program.variant(None, order.stage)
         with _random_numbers_kept():
-            played = self._evaluation.play(policy, self._run.program.variant(None, order.stage), order.episodes, order.stage, numbers)
+            played = self._evaluation.play(policy, scenario, order.seeds, order.stage, numbers)
         return Evaluated(dict(zip(numbers, played, strict=True)))
 
     def _lesson(self, lesson: Lesson | None) -> Lesson | None:

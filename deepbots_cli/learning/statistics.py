@@ -19,12 +19,12 @@ ALPHA = 0.05
 """The probability that an interval misses the true value, or that a test that stops early decides wrongly."""
 
 
-def wilson(successes: int, episodes: int) -> Interval:
+def wilson(successes: int, episodes: int, error: float = ALPHA) -> Interval:
     """The score interval of a proportion (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927, p. 209).
 
     It solves (p - phat)^2 = z^2 p (1 - p) / n for p. It stays inside [0, 1] and has a width also at 0 and at n successes.
     """
-    z = NormalDist().inv_cdf(1 - ALPHA / 2)
+    z = NormalDist().inv_cdf(1 - error / 2)
     rate, spread = successes / episodes, z * z / episodes
     center = (rate + spread / 2) / (1 + spread)
     half = math.sqrt(rate * (1 - rate) * spread + spread * spread / 4) / (1 + spread)
@@ -32,7 +32,7 @@ def wilson(successes: int, episodes: int) -> Interval:
     return max(0.0, min(rate, center - half)), min(1.0, max(rate, center + half))
 
 
-def mean_interval(values: Sequence[float], bounds: Interval = UNBOUNDED) -> Interval | None:
+def mean_interval(values: Sequence[float], bounds: Interval = UNBOUNDED, error: float = ALPHA) -> Interval | None:
     """Student's interval of a mean, cut at the bounds of the values; None for fewer than two values.
 
     Equal values tell nothing of the spread. With a probability of 95 %, at most the share 1 - 0.05^(1/n) of all values differs from n equal
@@ -41,10 +41,10 @@ def mean_interval(values: Sequence[float], bounds: Interval = UNBOUNDED) -> Inte
     if len(values) < 2:
         return None
     if min(values) == max(values):
-        share, value = 1 - ALPHA ** (1 / len(values)), values[0]
+        share, value = 1 - error ** (1 / len(values)), values[0]
         reach = value - share * (value - bounds[0]), value + share * (bounds[1] - value)
         return reach if math.isfinite(reach[0]) and math.isfinite(reach[1]) else None
-    half = float(stdtrit(len(values) - 1, 1 - ALPHA / 2)) * stdev(values) / math.sqrt(len(values))
+    half = float(stdtrit(len(values) - 1, 1 - error / 2)) * stdev(values) / math.sqrt(len(values))
     center = fmean(values)
     return max(center - half, min(bounds[0], center)), min(center + half, max(bounds[1], center))
 

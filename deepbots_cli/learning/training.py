@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing, nullcontext, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from shlex import quote
@@ -27,11 +28,13 @@ from deepbots_cli.learning import shards
 from deepbots_cli.learning.callbacks import (
     EVALUATION_EPISODES,
     UNLIMITED_SHARE,
+    Confirmed,
     EvaluationWorld,
     Evaluator,
     OnEvaluation,
     TrainingCallback,
     check_finite,
+    evaluation_seeds,
     signals_handled,
 )
 from deepbots_cli.learning.checkpoint_files import damage_explained, latest_checkpoint
@@ -40,10 +43,13 @@ from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.demonstrations import Demonstrations, demonstrate, read_recording
 from deepbots_cli.learning.environments import WorldFactory, stepping_text, supervisor_factory
 from deepbots_cli.learning.episodes import MAX_STEPS, EpisodeLog, Statistics, Summary
+from deepbots_cli.learning.evaluation import confirmation_result
 from deepbots_cli.learning.learner import Learner, Setup
-from deepbots_cli.learning.report import Reporter, reporter
+from deepbots_cli.learning.report import Reporter, reporter, to_json
 from deepbots_cli.learning.run import (
     FORMAT,
+    BestModel,
+    ChosenBy,
     Run,
     RunRecord,
     RunResult,
@@ -130,7 +136,8 @@ def train(
         seed: The root seed of all random streams, from 0. The same seed on the same machine gives the same weights.
         total_timesteps: Number of steps, summed over all rows of the environment; by default that of the scenario. On-policy algorithms
             complete their current rollout, so they may take a few more steps.
-        stop_when_solved: Whether to stop when training episodes, and then an evaluation, meet the criterion `solved` of the scenario.
+        stop_when_solved: Whether to stop when an evaluation meets the criterion `solved` of the scenario and a confirmation on new
+            starts shows it (`learning.confirmation`).
         stage: Name of the stage of the curriculum in which to begin; by default the first.
         keep_checkpoints: Number of models to keep at equal distances of steps, in addition to the best and the last one.
         initialize_from: A run whose best policy initializes this one, tensor by tensor if names and shapes are the same.
@@ -374,7 +381,6 @@ def run_training(
     first_step = statistics.steps
     if before is not None:
         checkpoints.on_restored.append(run.update)
-    statistics.final = curriculum.is_last
     evaluator = Evaluator(build, run.record.seed, run)
     callback = TrainingCallback(run, statistics, curriculum, evaluator, reporter, training.total_timesteps, on_evaluation)
     shown = demonstrate(run.demonstrations, run.program, build) if run.demonstrations.exists() else None
@@ -399,6 +405,7 @@ def run_training(
             callback.attach(learner, log)
             checkpoints.attach(callback, learner, log)
             checkpoints.on_restored.append(lambda: log.open(training, is_new=checkpoints.state is None))
+            checkpoints.on_restored.append(callback.restore_models)
             if run.record.initialized_from is not None:
                 learner.initialize(run.model("initial"))
             stack.enter_context(signals_handled(callback.interruption))
@@ -415,6 +422,8 @@ def run_training(
                 followers.extend(map(plugins.PluginCallback, run.record.callbacks))
                 watch = None if on_iteration is None else _timed(on_iteration, callback, collector)
                 status = learn_until_done(learner, callback, followers, checkpoints, watch)
+                if status == "finished":
+                    callback.choose_best(partial(_load, training, learner))
                 reporter.update(callback.progress())
             finally:
                 digest = learner.digest()
@@ -424,6 +433,7 @@ def run_training(
     except (DeepbotsError, OSError) as error:
         raise _explained(error, run, checkpoints) from error
     finally:
+        confirmed = callback.confirmed if run.record.stop_when_solved else None
         result = RunResult(
             status=status,
             steps=statistics.steps,
@@ -431,9 +441,11 @@ def run_training(
             episodes=statistics.episodes,
             mean_return=statistics.mean_return,
             success_rate=statistics.success_rate if run.program.defines_success else None,
-            best_return=callback.best.mean_return if callback.best else None,
+            best=_best_model(callback),
             simulated_hours=statistics.simulated_hours,
-            evaluation_steps=callback.evaluator.steps,
+            evaluation_steps=callback.evaluation_steps,
+            confirmations=callback.confirmations,
+            confirmed_seed=None if confirmed is None else confirmed.seed,
             solved_at=statistics.solved_at,
             cpu_seconds=statistics.cpu_seconds,
             wall_seconds=time.perf_counter() - began,
@@ -443,13 +455,49 @@ def run_training(
             stopped_by=callback.stopped_by or next((follower.name for follower in followers if follower.stopped), None),
             inexact=tuple(checkpoints.inexact),
         )
-        with suppress(RunError) if status == "failed" else nullcontext():  # a full disk was told already
+        with suppress(RunError) if status == "failed" else nullcontext():  # a full disk was reported already
             if before is None or status == "finished" or statistics.steps > first_step:
                 run.update(status=status, result=result)
             elif RunRecord.read(run.path) != before:
                 write_record(run.path, before)
+        _keep_confirmation(run, confirmed)
     stopped = callback.interruption.requested or status == "interrupted"
     return TrainingResult(run=run.path, initialized_from=run.record.initialized_from, stop_requested=stopped, **vars(result))
+
+
+def _keep_confirmation(run: Run, confirmed: Confirmed | None) -> None:
+    """Keep the confirmation that ended a training as an evaluation of its best model."""
+    if confirmed is not None and run.record.status == "finished":
+        result = confirmation_result(run, confirmed.number, confirmed.seed, confirmed.episodes)
+        run.write_evaluation(to_json(result))
+
+
+def _best_model(callback: TrainingCallback) -> BestModel | None:
+    """What the record of the run says about the best model; None before the first evaluation."""
+    best, until_solved = callback.best, callback.run.record.stop_when_solved
+    if best is None:
+        return None
+    if callback.confirmed is not None and until_solved:
+        chosen_by: ChosenBy = "confirmation"
+    else:
+        chosen_by = "new starts" if callback.chosen_steps else "evaluation"
+    defines_success = callback.defines_success
+    return BestModel(
+        steps=best.steps,
+        chosen_by=chosen_by,
+        measure=callback.measure,
+        episodes=best.episodes,
+        success_rate=best.success_rate if defines_success else None,
+        mean_return=best.mean_return,
+    )
+
+
+def _load(training: Training, learner: Learner, model: Path) -> Learner:
+    """A policy with the weights of a model, beside the learner of the training."""
+    setup = learner.setup
+    loaded = learners.create(Setup(replace(training, device="cpu"), setup.observation_space, setup.action_space))
+    loaded.load(model)
+    return loaded
 
 
 def _check_teacher(teacher: Teacher, program: Program, stage: str | None, build: WorldFactory, seed: int) -> None:
@@ -461,9 +509,9 @@ def _check_teacher(teacher: Teacher, program: Program, stage: str | None, build:
     first = next((one.program for one in program.curriculum if stage in (None, one.name)), program)
     if not first.defines_success:
         return
-    world = EvaluationWorld(build, seed)
+    world = EvaluationWorld(build)
     for count in (1, EVALUATION_EPISODES):
-        played = world.play_script(teacher.script, first, count)
+        played = world.play_script(teacher.script, first, evaluation_seeds(seed, range(count)))
         if any(episode.is_success for episode in played):
             return
     found = f"the teacher `{teacher.script}` succeeds in none of {len(played)} episodes"

@@ -27,7 +27,8 @@ def solved_verdict(solved: Solved | None, episodes: int, mean_return: float, suc
             return False, f"not solved: a success rate of {solved.success_rate:.1%} is required, and {certain.reason}"
     if episodes < solved.episodes:
         evaluated = f"{episodes} {'was' if episodes == 1 else 'were'} evaluated"
-        return None, f"solved: unknown, because the criterion needs {solved.episodes} episodes and only {evaluated}"
+        needed = f"the criterion needs {solved.episodes} episodes and only {evaluated}"
+        return None, f"solved: unknown, because {needed}; evaluate with `--episodes {solved.episodes}`"
     reasons = []
     if solved.mean_return is not None:
         reasons.append(f"mean return {mean_return:.4g} where {solved.mean_return:g} is required")
@@ -39,10 +40,10 @@ def solved_verdict(solved: Solved | None, episodes: int, mean_return: float, suc
 
 @dataclass(frozen=True)
 class RunVerdict:
-    """Whether a run solves its task; None where this is unknown, or the scenario has no `solved`.
+    """Whether a run solves its task: the answer of the evaluation that everyone quotes.
 
-    `evaluation` is the evaluation that everyone quotes, None where there is none. If it answers, its answer is the verdict. If it
-    cannot, such as after too few episodes, the verdict is that of the training: whether its recent episodes met `solved`.
+    `solved` is None where there is no such evaluation, where it has too few episodes, or where the scenario has no `solved`. A training
+    that stopped because its task is solved has an evaluation: the confirmation.
     """
 
     solved: bool | None
@@ -54,28 +55,32 @@ class RunVerdict:
         if self.evaluation is None:
             return "not evaluated since the end of the training"
         answer = {True: "; solved", False: "; not solved", None: ""}[self.solved]
-        by_training = " in training episodes, with exploration" if self.solved and self.evaluation.solved is None else ""
-        return f"{self.evaluation.text}{answer}{by_training}"
+        return f"{self.evaluation.text}{answer}"
 
 
 def run_verdict(path: Path, record: RunRecord) -> RunVerdict:
     """The verdict about a run, from its files. While the run trains, its evaluations are those of older models and do not count."""
     quoted = None if record.status == "running" and is_training(path) else quoted_evaluation(path, record)
-    met_in_training = True if record.result is not None and record.result.solved_at is not None else None
     if quoted is None:
-        return RunVerdict(met_in_training, None)
+        return RunVerdict(None, None)
     _, evaluation = quoted
-    return RunVerdict(met_in_training if evaluation.solved is None else evaluation.solved, evaluation)
+    return RunVerdict(evaluation.solved, evaluation)
 
 
 def quoted_evaluation(path: Path, record: RunRecord) -> tuple[Path, EvaluationRecord] | None:
-    """The evaluation of the best model that everyone quotes, and its file: the one with the most episodes, of equals the latest.
+    """The evaluation of the best model that everyone quotes, and its file: the one with the most episodes.
 
-    It is one in the scenario and engine of the training, since the training ended. One in a scenario that was changed since the training
-    is taken only where there is no other, and its `solved` is None.
+    Of equals, it is the confirmation that ended the training, else the latest. It is one in the scenario and engine of the
+    training, since the training ended. One in a scenario that was changed since the training is taken only where there is no
+    other, and its `solved` is None.
     """
     found = own_evaluations(path, record)
-    return max(reversed(found), key=lambda each: (_of_training(each[1], record), each[1].episodes), default=None)
+
+    def weight(entry: tuple[Path, EvaluationRecord]) -> tuple[bool, int, bool]:
+        _, evaluation = entry
+        return _of_training(evaluation, record), evaluation.episodes, evaluation.confirmation is not None
+
+    return max(reversed(found), key=weight, default=None)
 
 
 def quoted_episodes(run: Run) -> tuple[Path, EvaluationWithEpisodes] | None:

@@ -459,9 +459,10 @@ class Training:
     shards: int = 1
     teacher: Teacher | None = None
     staleness: int = 0
+    patience: int | None = None
 
     def digest_fields(self) -> dict[str, object]:
-        later = {"shards": 1, "teacher": None, "staleness": 0}
+        later = {"shards": 1, "teacher": None, "staleness": 0, "patience": None}
         return {name: value for name, value in vars(self).items() if name not in later or value != later[name]}
 
 

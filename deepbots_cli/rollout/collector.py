@@ -294,12 +294,12 @@ class EvaluationOrder:
 
     Attributes:
         parameters: Those of the actor.
-        episodes: The number of episodes.
+        seeds: The start of each episode.
         stage: The name of the stage of the curriculum; None without stages.
     """
 
     parameters: Mapping[str, Any]
-    episodes: int
+    seeds: Sequence[int]
     stage: str | None
 
 
@@ -477,14 +477,14 @@ class ShardedCollector:
         self.times.waiting += longest - sum(busy.values()) / len(busy)
         self.times.transfer += max(0.0, seconds - longest)
 
-    def evaluate(self, actor: PolicyActor, episodes: int, stage: str | None) -> list[Episode]:
-        """The episodes of an evaluation of the policy, in the order of their numbers."""
-        order = EvaluationOrder(actor.parameters(), episodes, stage)
+    def evaluate(self, actor: PolicyActor, seeds: Sequence[int], stage: str | None) -> list[Episode]:
+        """An episode of the policy from each seed, in the order of the seeds."""
+        order = EvaluationOrder(actor.parameters(), seeds, stage)
         found: dict[int, Episode] = {}
         for answer in self._pool.evaluate(order, self._by_shard(self.episodes)):
             self._listener.on_answer(answer)
             found.update(answer.episodes)
-        return [found[number] for number in range(episodes)]
+        return [found[number] for number in range(len(seeds))]
 
     def _note_episodes(self, fragment: Fragment, harvests: Sequence[Harvest]) -> None:
         """Keep how the running episode of each world began, and its actions."""

@@ -92,6 +92,8 @@ class Training(Section):
     """Age of the weights with which shards collect, in updates. With 1, shards on workers collect the next steps during an update."""
     network: Annotated[PolicyNetwork, InsteadOf("policy")] = Field(default_factory=PolicyNetwork)
     """The network of the policy."""
+    patience: Annotated[int, WholeNumber(1, 10**12)] | None = None
+    """Number of timesteps without a better evaluation after which the training ends. Default: it does not end before the last."""
     normalize: Literal["reward"] | None = None
     """`reward` divides rewards by a running standard deviation of the return, for learning only; logs show the original rewards."""
     teacher: Annotated[Teacher | PlainText, FORMS] | None = None

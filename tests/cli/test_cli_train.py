@@ -30,7 +30,8 @@ from deepbots_cli.learning.verdict import run_verdict
 from tests.cli.conftest import Ran
 
 FAST = ("--set", "train.n_epochs=1", "--set", "train.environments=2", "--set", "train.n_steps=64")
-TINY = ("train", "cartpole", "--timesteps", "200", *FAST, "--set", "evaluation={episodes: 4}")
+SOLVED = ("--set", "solved=mean_return >= 195 over 4 episodes")
+TINY = ("train", "cartpole", "--timesteps", "200", *FAST, *SOLVED, "--set", "evaluation={episodes: 4}")
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +54,7 @@ def trained(first, tmp_path):
 
 def test_a_training_ends_with_a_verdict_and_what_to_do_next(trained, tmp_path):
     assert "mean return" in trained.out
-    assert "solved: unknown, because the criterion needs" in trained.out
+    assert "\nnot solved: mean return " in trained.out
     assert "deepbots render mine -o mine.mp4" in trained.err
     assert "tensorboard --logdir mine" in trained.err
     assert "`deepbots lint cartpole --exploits` looks for ways to earn this reward without doing the task\n" in trained.err
@@ -161,7 +162,7 @@ def test_a_trained_run_can_be_evaluated_listed_filmed_and_gone_on_with(deepbots,
 def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
     there = "there: {set: {termination.success: {there: x > 0.3 m}}, episodes: 2}"
     cases = f"evaluation={{episodes: 4, cases: {{steep: {{set: {{fall_angle: 5 deg}}, episodes: 3}}, {there}}}}}"
-    ran = deepbots("train", "cartpole", "--timesteps", "200", *FAST, "--set", cases, "--run", "mine", "--quiet")
+    ran = deepbots("train", "cartpole", "--timesteps", "200", *FAST, *SOLVED, "--set", cases, "--run", "mine", "--quiet")
     assert ran.code == 0, ran.err
     rates = {line.split()[0]: "%" in line for line in ran.out.split("cases")[1].splitlines() if line.split()[:1] in (["steep"], ["there"])}
     assert rates == {"steep": False, "there": True}  # a success rate only where there is a success
@@ -346,6 +347,15 @@ def test_a_requirement_met_by_a_changed_criterion_names_the_change_in_every_form
     assert json.loads(deepbots("runs", ".", "--json").out)[0]["solved"] is not True
 
 
+def test_an_evaluation_of_too_few_episodes_names_the_number_that_solved_needs(deepbots, trained):
+    assert "only 1 was evaluated; evaluate with `--episodes 4`" in deepbots("eval", "mine", "--episodes", "1").out
+
+
+def test_an_evaluation_has_as_many_episodes_as_solved_asks_for(deepbots, trained):
+    more = json.loads(deepbots("eval", "mine", "--set", "solved=mean_return >= 1 over 6 episodes", "--json").out)
+    assert (more["episodes"], more["solved"]) == (6, True)
+
+
 def test_a_training_whose_evaluation_fails_is_solved_nowhere(deepbots, trained, tmp_path):
     record = json.loads((tmp_path / "mine" / "run.json").read_text())
     at = {"episode": 3, "steps": 90, "simulated_hours": 0.1, "cpu_seconds": 1.0, "mean_return": 200.0, "success_rate": 0.0}
@@ -394,7 +404,7 @@ def test_settings_that_change_what_a_policy_sees_are_refused(deepbots, trained):
 def test_inspect_shows_what_a_run_is_and_the_scenario_that_it_was_trained_with(deepbots, trained):
     tables = json.loads(deepbots("inspect", "mine", "--json").out)
     known = tables["run"]
-    assert (known["status"], known["seed"], known["solved"]) == ("finished", 0, "unknown")
+    assert (known["status"], known["seed"], known["solved"]) == ("finished", 0, "no")
     assert known["steps"] >= 200 == known["total_timesteps"]
     assert known["best_model"] == "mine/models/agent/best.zip"
     assert tables["training"]["evaluation_episodes"] == 4

@@ -94,6 +94,7 @@ def _train(training: Training) -> str:
     """The section in YAML."""
     section: dict[str, Any] = {name: getattr(training, name) for name in ("algorithm", "total_timesteps", "environments")}
     section |= {"shards": training.shards, "staleness": training.staleness}
+    section |= {} if training.patience is None else {"patience": training.patience}
     section |= {entry.name: _figure(entry.value) for entry in training.hyperparameters}
     section["network"] = {"hidden": list(training.network.hidden), "activation": training.network.activation}
     if training.action_noise is not None:

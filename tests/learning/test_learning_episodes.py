@@ -9,33 +9,27 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.learning.episodes import EpisodeLog, Statistics
+from deepbots_cli.learning.episodes import EpisodeLog, Statistics, meets_solved
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode, EpisodeAccumulator
 
 
-def test_solved_is_noted_the_first_time_that_enough_consecutive_episodes_reach_it() -> None:
+def test_a_solved_task_is_noted_with_the_time_of_the_training() -> None:
     statistics = Statistics(period=0.5, solved=Solved(3, mean_return=10.0))
-    for total in (30.0, 0.0, 0.0, 10.0, 20.0, 50.0):
+    for total in (30.0, 40.0, 50.0):
         statistics.steps += 7_200
         statistics.add(Episode(total, 1, False, "end"))
+    assert statistics.solved_at is None  # however high the returns of the training are
+    statistics.note_solved(12.0, 0.0)
     assert statistics.solved_at is not None
     assert (statistics.solved_at.episode, statistics.solved_at.simulated_hours) == (3, 3.0)
 
 
-def test_episodes_before_the_window_is_full_solve_nothing() -> None:
-    statistics = Statistics(period=0.5, solved=Solved(3, mean_return=10.0))
-    for _ in range(2):
-        statistics.add(Episode(100.0, 1, True, "end"))
-    assert statistics.solved_at is None
-
-
-def test_both_figures_of_solved_must_be_reached() -> None:
-    statistics = Statistics(period=0.5, solved=Solved(1, mean_return=10.0, success_rate=1.0))
-    statistics.add(Episode(10.0, 1, False, "end"))
-    assert statistics.solved_at is None
-    statistics.add(Episode(10.0, 1, True, "end"))
-    assert statistics.solved_at is not None
+def test_both_values_of_solved_must_be_reached() -> None:
+    solved = Solved(1, mean_return=10.0, success_rate=1.0)
+    assert not meets_solved(solved, 10.0, 0.0)
+    assert not meets_solved(solved, 9.0, 1.0)
+    assert meets_solved(solved, 10.0, 1.0)
 
 
 def test_a_tally_sums_rewards_and_terms_and_starts_anew() -> None:

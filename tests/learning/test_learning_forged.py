@@ -70,7 +70,9 @@ STATES: dict[str, Callable[[State], object]] = {
     "an episode without end": lambda state: state["statistics"]["recent"][0].update(total_return=float("inf")),
     "a generator of Python that is cut short": lambda state: state.update(python=[3, [1, 2, 3], None]),
     "an evaluation in the future": lambda state: state["callback"].update(evaluated_at=10**9),
-    "a best return that is no number": lambda state: state["callback"].update(best=[True, True, float("nan")]),
+    "a candidate whose return is no number": lambda state: state["callback"].update(
+        candidates=[{"steps": 4, "episodes": 20, "success_rate": 0.5, "mean_return": float("nan")}]
+    ),
     "segments of a replay buffer in disorder": lambda state: state.update(segments=[[0, 10**12], [5, 6]]),
 }
 

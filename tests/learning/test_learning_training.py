@@ -23,6 +23,7 @@ from stable_baselines3.common.env_checker import check_env
 from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError, install_hint
 from deepbots_cli.learning import TrainingResult, checkpoints, evaluate, resume, train
+from deepbots_cli.learning.order import Candidate
 from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal, to_json
 from deepbots_cli.learning.run import Run, run_lock
 from deepbots_cli.learning.sb3 import algorithms
@@ -114,11 +115,11 @@ def test_training_stops_when_solved_unless_told_to_go_on(tmp_path: Path) -> None
     easy = Solved(2, mean_return=5.0)
     stopped = short(tmp_path, total=5_000, solved=easy, build=stand_in.build)
     assert stopped.status == "finished"
-    assert stopped.steps < 1_000
+    assert stopped.steps < 2_000
     assert stopped.solved_at is not None
     assert stopped.solved_at.cpu_seconds > 0
-    further = short(tmp_path, total=300, solved=easy, stop_when_solved=False, build=stand_in.build)
-    assert further.steps >= 300
+    further = short(tmp_path, total=2_000, solved=easy, stop_when_solved=False, build=stand_in.build)
+    assert further.steps >= 2_000
     assert further.solved_at is not None
 
 
@@ -365,14 +366,16 @@ def test_the_table_of_a_terminal_fits_80_columns_and_shows_a_success_rate_of_0(m
     stream, solved = Terminal(), Solved(100, mean_return=195.0, success_rate=0.9)
     stage = "crowded (2 of 3): success rate 0.45 of 0.7, of episodes with a very long name of the criterion"
     display = ProgressReporter(stream)
+    best = Candidate(steps=12_000, episodes=20, success_rate=0.1, mean_return=31.0)
     display.start(TrainingProgress(0, 20_000, 0, None, 0.0, stage, solved))
-    display.update(TrainingProgress(20_000, 20_000, 300, 26.6, 0.0, stage, solved, 31.0, 0.032))
+    display.update(TrainingProgress(20_000, 20_000, 300, 26.6, 0.0, stage, solved, best, "success_rate", 0.032))
     display.stop()
     lines = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", stream.getvalue()).splitlines()
     assert max(map(len, lines)) <= 80
     text = " ".join(" ".join(lines).split())
     assert all(
-        part in text for part in ("success 0% of 90%", "return 26.6 of 195", "best evaluation return 31.0", "crowded (2 of 3)", "so far")
+        part in text
+        for part in ("success 0% of 90%", "return 26.6 of 195", "best evaluation 10% success at 12,000 steps", "crowded (2 of 3)", "so far")
     )
 
 

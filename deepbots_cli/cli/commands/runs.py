@@ -81,6 +81,8 @@ def command(
         for run in found:
             if run.problem is not None:
                 terminal.note(f"{run.path.name}: {run.problem}")
+            if run.chosen_by == "return":
+                terminal.note(f"{run.path.name}: a version before 0.2 chose its best model by return; `deepbots eval --keep` chooses anew")
             if run.remarks:
                 terminal.note(f"{run.path.name}: about its evaluation: {'; '.join(run.remarks)}")
     elif scenario is not None or solved or live:
@@ -109,6 +111,7 @@ def _row(run: ListedRun, *, with_file: bool = False) -> Row:
         "seed": _seeds(run.seeds),
         "state": state,
         "steps": run.steps,
+        "best_at": run.best_steps,
         **records.scores(run, intervals=False),
         "score": f"{run.score} ({run.evaluated_episodes})" if run.evaluated_episodes else run.score,
         "solved": run.solved,
@@ -146,6 +149,7 @@ def _evaluation(number: int, kept: EvaluationRecord) -> Row:
         "number": number,
         "evaluated": kept.evaluated[:16].replace("T", " "),
         "model": kept.model,
+        "after_steps": kept.model_steps,
         "remarks": "; ".join(kept.remarks) or kept.elsewhere or records.case_label(kept),
         "episodes": kept.episodes,
         "seed": kept.seed,

@@ -445,11 +445,13 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: 
     """Show the result of the training; unless it was interrupted, evaluate the policy and name the next commands."""
     _show_training(records.training_text(result), {"training": result, "evaluation": None}, result.stop_requested, as_json=as_json)
     trained = Run.open(result.run)
-    with _evaluating(result.run, quiet=quiet), terminal.progress(always=False) as show_episode:
-        evaluation = learning.evaluate(trained, permissions=permissions, on_episode=show_episode)
+    is_confirmed = result.confirmed_seed is not None  # by episodes that are the evaluation
+    with _evaluating(result.run, quiet=quiet or is_confirmed), terminal.progress(always=False) as show_episode:
+        evaluation = learning.evaluate_trained(trained, permissions=permissions, on_episode=show_episode)
         cases = learning.evaluate_cases(trained, permissions=permissions, on_episode=show_episode)
     found = records.evaluation_json(evaluation, cases)
-    records.write_evaluation(trained, found)
+    if evaluation.confirmation is None or cases:
+        records.write_evaluation(trained, found)
     solved = run_verdict(trained.path, trained.record).solved
     run, film, logs = (quote(str(path)) for path in (result.run, f"{result.run.name}.mp4", result.run / "tensorboard"))
     longer = f"--timesteps {report.longer_goal(max(result.steps, result.total_timesteps)):_}"

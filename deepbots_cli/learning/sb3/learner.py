@@ -82,16 +82,16 @@ class StableLearner(Learner):
             mixin=mixin,
         )
         self.takes_masks = algorithms.takes_masks(self.model)
-        self.confirms = isinstance(self.model, OffPolicyAlgorithm)
+        self.is_off_policy = isinstance(self.model, OffPolicyAlgorithm)
         demonstrations = self._prepared(setup.demonstrations)
-        if self.confirms and isinstance(self.model, _IsTaught) and collector is not None and hasattr(self.model, "actor"):
+        if self.is_off_policy and isinstance(self.model, _IsTaught) and collector is not None and hasattr(self.model, "actor"):
             keep_labels(self.model)
             self.model.keeps_labels = True
-        if self.confirms and demonstrations is not None:
+        if self.is_off_policy and demonstrations is not None:
             mix_in(self.model, demonstrations)
-        self._shown = None if demonstrations is None or self.confirms else Lessons(self.model, demonstrations)
-        self._by_fragments = not self.confirms and algorithms.collects_as_usual(setup.training, self.model)
-        self._actor = rollouts.ExplorationActor(self.model) if self.confirms else rollouts.RolloutActor(self.model)
+        self._shown = None if demonstrations is None or self.is_off_policy else Lessons(self.model, demonstrations)
+        self._by_fragments = not self.is_off_policy and algorithms.collects_as_usual(setup.training, self.model)
+        self._actor = rollouts.ExplorationActor(self.model) if self.is_off_policy else rollouts.RolloutActor(self.model)
         if isinstance(collector, ShardedCollector):
             self.actor()
         elif not (self._by_fragments or collector is None or isinstance(collector, LocalCollector)):
@@ -118,7 +118,7 @@ class StableLearner(Learner):
         self._followers = followers
         callbacks = [_MonitorCallback(monitor), *followers]
         self._total, self._callback = self.model._setup_learn(total, callbacks if followers else callbacks[0])
-        if self.confirms:  # now with noise for each row
+        if self.is_off_policy:  # now with noise for each row
             self._actor = rollouts.ExplorationActor(self.model)
         self._log_interval = signature(type(self.model).learn).parameters["log_interval"].default
 
@@ -126,13 +126,13 @@ class StableLearner(Learner):
         self._callback.on_training_start({"self": self.model, "total_timesteps": self._total, "callback": self._callback}, {})
 
     def be_taught(self, plan: Plan) -> None:
-        if not (self._by_fragments or self.confirms) or hasattr(self.model, "_last_lstm_states"):
+        if not (self._by_fragments or self.is_off_policy) or hasattr(self.model, "_last_lstm_states"):
             super().be_taught(plan)
         self._plan = plan
-        if not self.confirms and self._shown is None and plan.only != (self._lessons is not None):
+        if not self.is_off_policy and self._shown is None and plan.only != (self._lessons is not None):
             self._lessons = Lessons(self.model) if plan.only else None
             self._replay.forget(self.steps // self.model.n_envs)
-        if self.confirms and isinstance(self._collector, LocalCollector):
+        if self.is_off_policy and isinstance(self._collector, LocalCollector):
             self.model.lesson = plan.lesson, self._collector
 
     def actor(self) -> PolicyActor:
@@ -143,7 +143,7 @@ class StableLearner(Learner):
     def collect(self) -> bool:
         model = self.model
         with models.overflow_explained():
-            if self.confirms:
+            if self.is_off_policy:
                 shards = self._collector if isinstance(self._collector, ShardedCollector) else None
                 if shards is not None:
                     model.recorded = shards.fetch(self._actor, model.train_freq.frequency, lesson=self._plan.lesson)
@@ -193,7 +193,7 @@ class StableLearner(Learner):
     def update(self) -> None:
         model = self.model
         with models.overflow_explained():
-            if not self.confirms:
+            if not self.is_off_policy:
                 model._update_current_progress_remaining(model.num_timesteps, self._total)
                 count = model.num_timesteps // (model.n_steps * model.n_envs)
                 if count % self._log_interval == 0:
@@ -262,7 +262,7 @@ class StableLearner(Learner):
 
     def recent(self) -> tuple[Any, Array, Array | None]:
         """Those of the last rollout, or of the last steps in the replay buffer."""
-        if not self.confirms:
+        if not self.is_off_policy:
             buffer: Any = self.model.rollout_buffer
             return buffer.observations, buffer.actions, buffer.log_probs
         seen, rows = self.model.replay_buffer.observations, self._recent_rows

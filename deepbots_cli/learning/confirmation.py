@@ -1,0 +1,145 @@
+"""When a training may stop because its task is solved: the confirmation of a model on new starts.
+
+An evaluation during a training is small and there are many of them, so one of them may meet `solved` by luck. A model
+whose evaluation meets `solved` is therefore confirmed on new starts, as many as `solved` asks for. The training stops
+only if the confirmation shows more than the required value. That episodes decide once, and only by all of them, makes
+the chance of a false stop easy to compute:
+
+- The k-th confirmation of a training may err with a probability of 5 % / (k (k + 1)). Over all confirmations, the sum
+  is at most 5 % (Bonferroni's inequality; 1/2 + 1/6 + 1/12 + ... = 1), for any policies and any number of evaluations.
+- A success rate passes if a policy whose rate is 2 points below the required one would have so many successes with at
+  most this probability, by the binomial distribution. For `>= 90 % over 100 episodes`, the first confirmation needs 95
+  successes, the second 96, the third 97.
+- A mean return passes if it reaches the required one, and Student's lower bound at this level is not more than 2 % of
+  the range of returns below it. The bound includes one more episode with the worst return, because returns are often
+  equal but for rare failures, which a sample may miss.
+
+A confirmation ends early when its outcome is certain. `tests/learning/test_confirmation.py` measures the chances.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import fmean, stdev
+
+from deepbots_cli.learning.episodes import Interval, meets_solved
+from deepbots_cli.program.task import Solved
+from deepbots_cli.rollout import Episode
+
+FALSE_STOPS = 0.05
+"""The largest probability that a training stops with a policy that is `MARGIN` or more below the required value."""
+MARGIN = 0.02
+"""Of a success rate, or of the range of returns."""
+COST_SHARE = 0.1
+"""Confirmations that fail take at most this share of the steps of the training, and the last of them."""
+_MAX_EPISODES = 100_000
+
+
+def error_level(number: int) -> float:
+    """The probability with which the confirmation of this number, from 1, may pass a policy that is too weak."""
+    return FALSE_STOPS / (number * (number + 1))
+
+
+def required_successes(episodes: int, rate: float, level: float) -> int:
+    """The smallest number of successes of which `episodes` episodes have so many with at most the probability `level`
+    at a success rate of `rate`; larger than `episodes` where even all of them are too few."""
+    from scipy.special import bdtrc  # here, because commands that only read runs work without scipy
+
+    low, high = 0, episodes + 1
+    while low < high:  # the probability falls with the number of successes
+        middle = (low + high) // 2
+        probability = 1.0 if middle == 0 else float(bdtrc(middle - 1, episodes, rate))
+        low, high = (low, middle) if probability <= level else (middle + 1, high)
+    return low
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """One confirmation of a training.
+
+    Attributes:
+        solved: The criterion of the scenario.
+        number: That of the confirmation, from 1.
+        returns: The lowest and the highest return of an episode: the possible ones, or else those seen so far.
+        episodes: Number of new starts: as many as `solved` asks for, or the smallest multiple of it with which the best
+            possible result would pass.
+        successes: The successes that it needs; 0 where `solved` asks for no success rate.
+    """
+
+    solved: Solved
+    number: int
+    returns: Interval
+    episodes: int
+    successes: int
+
+    @staticmethod
+    def plan(solved: Solved, number: int, returns: Interval) -> Confirmation | None:
+        """The next confirmation; None if no number of episodes up to 100 000 is enough."""
+        for episodes in range(solved.episodes, _MAX_EPISODES, solved.episodes):
+            successes = 0
+            if solved.success_rate is not None:
+                level = error_level(number)
+                shown = required_successes(episodes, max(0.0, solved.success_rate - MARGIN), level)
+                successes = max(shown, math.ceil(solved.success_rate * episodes - 1e-9))
+            planned = Confirmation(solved, number, returns, episodes, successes)
+            if successes <= episodes and planned._return_passes([returns[1]] * episodes):
+                return planned
+        return None
+
+    @property
+    def level(self) -> float:
+        return error_level(self.number)
+
+    @property
+    def requirement(self) -> str:
+        """What passes, in words: `at least 95 of 100 successes`, `a mean return of at least 195, with a lower bound of 191`."""
+        parts = []
+        if self.solved.success_rate is not None:
+            parts.append(f"at least {self.successes:,} of {self.episodes:,} successes")
+        if self.solved.mean_return is not None:
+            bound = f"a lower bound of {self._lowest_bound:.4g}"
+            parts.append(f"a mean return of at least {self.solved.mean_return:g}, with {bound}")
+        return " and ".join(parts)
+
+    def is_lost(self, done: Sequence[Episode]) -> bool:
+        """Whether the first episodes exclude that all of them pass."""
+        left = self.episodes - len(done)
+        if sum(episode.is_success for episode in done) + left < self.successes:
+            return True
+        if self.solved.mean_return is None:
+            return False
+        best = math.fsum(episode.total_return for episode in done) + left * self.returns[1]
+        return best < self.solved.mean_return * self.episodes
+
+    def passes(self, done: Sequence[Episode]) -> bool:
+        """Whether all episodes of the confirmation show that the task is solved."""
+        returns = [episode.total_return for episode in done]
+        successes = sum(episode.is_success for episode in done)
+        if len(done) < self.episodes or successes < self.successes:
+            return False
+        return meets_solved(self.solved, fmean(returns), successes / len(done)) and self._return_passes(returns)
+
+    def _return_passes(self, returns: Sequence[float]) -> bool:
+        """Whether the lower bound of the mean return is at most `MARGIN` of the range below the required one."""
+        return self.solved.mean_return is None or lower_bound(returns, self.returns[0], self.level) >= self._lowest_bound
+
+    @property
+    def _lowest_bound(self) -> float:
+        """What the lower bound of the mean return must reach."""
+        low, high = self.returns
+        return (self.solved.mean_return or 0.0) - MARGIN * (high - low)
+
+
+def lower_bound(returns: Sequence[float], worst: float, level: float) -> float:
+    """Student's one-sided lower bound of a mean return at a confidence of `1 - level`, with one more return, the worst.
+
+    A sample of n returns often lacks a rare failure; one more observation at the worst end makes the bound cautious,
+    as the added failures of A. Agresti and B. Coull (Am. Stat. 52, 1998) do for a proportion.
+    """
+    from scipy.special import stdtrit
+
+    values = [*returns, worst]
+    half = float(stdtrit(len(values) - 1, 1 - level)) * stdev(values) / math.sqrt(len(values))
+    return fmean(values) - half

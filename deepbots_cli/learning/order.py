@@ -1,0 +1,199 @@
+"""Which of two policies is better: the one order of policies, and the shortlist of the best models of a training.
+
+"Better" means what the task asks for: a higher value of the measure that `solved` names; without `solved`, a higher
+success rate where the scenario defines success, else a higher mean return. The other measure counts only among equals.
+The order holds for the models of a training, for attempts and trials, and for what commands say about them.
+
+Evaluations during a training are small, so the best of many looks better than it is. A training therefore keeps the
+models of its best evaluations, and plays new starts with them before it chooses one (`Shortlist.choose`).
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt
+
+from deepbots_cli.learning.episodes import Summary
+from deepbots_cli.program.task import Solved
+
+if TYPE_CHECKING:
+    from deepbots_cli.learning.run import Run
+    from deepbots_cli.rollout import Episode
+
+Measure = Literal["success_rate", "mean_return"]
+Rank = tuple[float, float]
+"""The value of the measure, then the value of the other one; the higher rank is better."""
+
+SHORTLIST = 5
+"""Models that a training keeps for the last choice. With 42 evaluations of 20 episodes, the best policy is among the
+five best evaluations in most cases; each further model costs at least 20 episodes."""
+FIRST_ROUND = 20
+"""New starts of each model in the first round of the choice; each later round has twice as many."""
+
+
+def measure_of(solved: Solved | None, *, defines_success: bool) -> Measure:
+    """What the task asks for: the measure of `solved`, else the success rate where the scenario defines success."""
+    if solved is None:
+        return "success_rate" if defines_success else "mean_return"
+    return "mean_return" if solved.success_rate is None else "success_rate"
+
+
+def rank(measure: Measure, success_rate: float | None, mean_return: float) -> Rank:
+    """The rank of a policy; a success rate that the scenario does not define is None or 0."""
+    success = success_rate or 0.0
+    return (success, mean_return) if measure == "success_rate" else (mean_return, success)
+
+
+class Candidate(BaseModel):
+    """A model with the result of its held-out episodes during the training.
+
+    `steps` are the steps of the training after which it was saved. `success_rate` is 0 where the scenario defines no
+    success.
+    """
+
+    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
+
+    steps: NonNegativeInt
+    episodes: Annotated[int, Field(ge=1)]
+    success_rate: Annotated[float, Field(ge=0, le=1)]
+    mean_return: float
+
+    @staticmethod
+    def of(steps: int, summary: Summary) -> Candidate:
+        return Candidate(
+            steps=steps,
+            episodes=summary.episodes,
+            success_rate=summary.success_rate,
+            mean_return=summary.mean_return,
+        )
+
+    def joined(self, summary: Summary) -> Candidate:
+        """The candidate with further episodes."""
+        episodes = self.episodes + summary.episodes
+        share = summary.episodes / episodes
+        return Candidate(
+            steps=self.steps,
+            episodes=episodes,
+            success_rate=min(1.0, self.success_rate + share * (summary.success_rate - self.success_rate)),
+            mean_return=self.mean_return + share * (summary.mean_return - self.mean_return),
+        )
+
+    def text(self, measure: Measure, *, defines_success: bool) -> str:
+        """`success rate 95 %, mean return 12.3 in 20 episodes`, what the task asks for first."""
+        parts = [f"mean return {self.mean_return:.4g}"]
+        if defines_success:
+            parts.insert(0 if measure == "success_rate" else 1, f"success rate {self.success_rate:.0%}")
+        return f"{', '.join(parts)} in {self.episodes:,} episodes"
+
+    def rank(self, measure: Measure) -> tuple[Rank, int]:
+        """Its rank; of equals the later model is better, which has learned more."""
+        return rank(measure, self.success_rate, self.mean_return), self.steps
+
+
+class Shortlist:
+    """The models of the best evaluations of a training, the best one first; `models/agent/best.zip` is the first one.
+
+    All evaluations of a training have the same held-out starts. Each candidate has a file
+    `models/agent/candidate-<steps>.zip`.
+
+    Args:
+        run: The run of the training.
+        measure: What the task asks for.
+    """
+
+    def __init__(self, run: Run, measure: Measure) -> None:
+        self.measure: Measure = measure
+        self.candidates: list[Candidate] = []
+        self._run = run
+
+    @property
+    def best(self) -> Candidate | None:
+        return self.candidates[0] if self.candidates else None
+
+    def model(self, candidate: Candidate) -> Path:
+        """The file of a candidate."""
+        return self._run.model(f"candidate-{candidate.steps:012d}")
+
+    def add(self, candidate: Candidate, save: Callable[[Path], object]) -> bool:
+        """Take in a model if it is among the best; `save` writes it. Whether it is the best one."""
+        others = [other for other in self.candidates if other.steps != candidate.steps]
+        ordered = self._ordered([*others, candidate])
+        self.candidates = ordered[:SHORTLIST]
+        if candidate in self.candidates:
+            save(self.model(candidate))
+        self._remove_others()
+        is_best = self.best == candidate
+        if is_best:
+            save(self._run.model("best"))
+        return is_best
+
+    def put_first(self, candidate: Candidate, save: Callable[[Path], object]) -> None:
+        """Make a model the best one, whatever its rank; `save` writes it."""
+        others = [other for other in self.candidates if other.steps != candidate.steps]
+        self.candidates = [candidate, *others][:SHORTLIST]
+        for path in (self.model(candidate), self._run.model("best")):
+            save(path)
+        self._remove_others()
+
+    def clear(self) -> None:
+        """Forget all candidates, such as at the begin of a stage of the curriculum. The best model stays."""
+        self.candidates = []
+        self._remove_others()
+
+    def restore(self, candidates: Sequence[Candidate]) -> None:
+        """Go back to the candidates of a checkpoint, without those whose file is missing."""
+        self.candidates = self._ordered([each for each in candidates if self.model(each).is_file()])
+        self._remove_others()
+        if self.best is not None:
+            self._copy(self.best)
+
+    def choose(self, play: Callable[[Path, range], Sequence[Episode]], max_steps: float) -> int:
+        """Play new starts with the candidates, and keep the best one; returns the number of steps played.
+
+        The candidates play the same starts in rounds, the better half of them twice as many in the next round
+        (sequential halving; Z. Karnin, T. Koren, O. Somekh, ICML 2013).
+
+        Args:
+            play: Takes the file of a model and the numbers of starts that no evaluation of the training had.
+            max_steps: No further round begins after that many steps.
+        """
+        steps, first, count = 0, 0, FIRST_ROUND
+        remaining = list(self.candidates)
+        while len(remaining) > 1 and steps < max_steps:
+            judged = []
+            for candidate in remaining:
+                done = play(self.model(candidate), range(first, first + count))
+                steps += sum(episode.length for episode in done)
+                judged.append(candidate.joined(Summary.of_episodes(done)))
+            replaced = {candidate.steps: candidate for candidate in judged}
+            self.candidates = [replaced.get(candidate.steps, candidate) for candidate in self.candidates]
+            remaining = self._ordered(judged)[: (len(judged) + 1) // 2]
+            first, count = first + count, 2 * count
+        if remaining:
+            others = [candidate for candidate in self.candidates if candidate.steps != remaining[0].steps]
+            self.candidates = [remaining[0], *self._ordered(others)]
+            self._copy(remaining[0])
+        return steps
+
+    def _ordered(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+        return sorted(candidates, key=lambda candidate: candidate.rank(self.measure), reverse=True)
+
+    def _copy(self, candidate: Candidate) -> None:
+        """Make a candidate the best model; the file is replaced whole."""
+        best = self._run.model("best")
+        draft = best.with_name(".best.new")
+        shutil.copyfile(self.model(candidate), draft)
+        os.replace(draft, best)
+
+    def _remove_others(self) -> None:
+        """Remove the files of models that are no candidates any more."""
+        kept = {self.model(candidate) for candidate in self.candidates}
+        for path in self._run.model("best").parent.glob("candidate-*.zip"):
+            if path not in kept and re.fullmatch(r"candidate-[0-9]{12}\.zip", path.name):
+                path.unlink()

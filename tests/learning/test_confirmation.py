@@ -1,0 +1,174 @@
+"""The chances of a training that stops because a confirmation shows that its task is solved: simulated, and against closed forms."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from scipy.stats import binom, t
+
+from deepbots_cli.learning.callbacks import CONFIRMATION_PART, EVALUATION_EPISODES
+from deepbots_cli.learning.confirmation import (
+    COST_SHARE,
+    FALSE_STOPS,
+    Confirmation,
+    error_level,
+    lower_bound,
+    required_successes,
+)
+from deepbots_cli.program.task import Solved
+from deepbots_cli.rollout import Episode
+
+LOOKS = 60
+RATE = Solved(100, success_rate=0.9)
+RETURN = Solved(100, mean_return=195.0)
+BOUNDS = (0.0, 200.0)
+Draw = Callable[[np.random.Generator, float, int], Sequence[Episode]]
+
+
+class Outcome(NamedTuple):
+    """Of one simulated training: the value of the policy with which it stopped, None if it went on to its end; episodes of
+    failed confirmations; these per episode of the training."""
+
+    stopped_with: float | None
+    failed: int
+    share: float
+
+
+def successes(generator: np.random.Generator, rate: float, count: int) -> list[Episode]:
+    return [Episode(0.0, 1, bool(good), None) for good in generator.random(count) < rate]
+
+
+def falls(generator: np.random.Generator, mean: float, count: int) -> list[Episode]:
+    """Returns of a CartPole: 200, or a fall after 20 to 200 steps."""
+    fallen = generator.random(count) < (200.0 - mean) / 90.0
+    returns = np.where(fallen, generator.uniform(20.0, 200.0, count), 200.0)
+    return [Episode(float(value), 1, False, None) for value in returns]
+
+
+def uniform(generator: np.random.Generator, mean: float, count: int) -> list[Episode]:
+    return [Episode(float(value), 1, False, None) for value in generator.uniform(2 * mean - 200.0, 200.0, count)]
+
+
+def train(generator: np.random.Generator, solved: Solved, values: Sequence[float], draw: Draw) -> Outcome:
+    """A training as `TrainingCallback` runs it, whose policy has these true values at its evaluations. Evaluations take 10 % of the steps,
+    and all episodes have the same length."""
+    number, failed, steps = 1, 0, 0
+    for value in values:
+        steps += 10 * EVALUATION_EPISODES
+        evaluated = draw(generator, value, EVALUATION_EPISODES)
+        mean = float(np.mean([each.total_return for each in evaluated]))
+        rate = float(np.mean([each.is_success for each in evaluated]))
+        if mean < (solved.mean_return or -math.inf) or rate < (solved.success_rate or 0.0):
+            continue
+        if number > 1 and failed > COST_SHARE * steps:
+            continue
+        plan = Confirmation.plan(solved, number, BOUNDS)
+        assert plan is not None
+        done: list[Episode] = []
+        while len(done) < plan.episodes and not plan.is_lost(done):
+            done += draw(generator, value, min(CONFIRMATION_PART, plan.episodes - len(done)))
+        if plan.passes(done):
+            return Outcome(value, failed, failed / steps)
+        number, failed = number + 1, failed + len(done)
+    return Outcome(None, failed, failed / steps)
+
+
+def simulate(solved: Solved, values: Sequence[float], draw: Draw, repetitions: int, seed: int) -> list[Outcome]:
+    generator = np.random.default_rng(seed)
+    return [train(generator, solved, values, draw) for _ in range(repetitions)]
+
+
+def stops(outcomes: Sequence[Outcome], below: float = math.inf) -> float:
+    """The share of trainings that stopped with a policy of at most this value."""
+    return float(np.mean([each.stopped_with is not None and each.stopped_with <= below for each in outcomes]))
+
+
+def test_the_first_confirmations_of_90_percent_need_95_96_and_97_of_100() -> None:
+    plans = [Confirmation.plan(RATE, number, BOUNDS) for number in (1, 2, 3)]
+    assert [(plan.successes, plan.episodes) for plan in plans if plan is not None] == [(95, 100), (96, 100), (97, 100)]
+
+
+@pytest.mark.parametrize("episodes", [1, 7, 100, 1_000])
+@pytest.mark.parametrize("rate", [0.0, 0.1, 0.88, 0.99, 1.0])
+@pytest.mark.parametrize("level", [0.025, 1e-4])
+def test_the_required_successes_are_those_of_the_binomial_distribution(episodes: int, rate: float, level: float) -> None:
+    least = required_successes(episodes, rate, level)
+    assert binom.sf(least - 1, episodes, rate) <= level
+    assert least == 0 or binom.sf(least - 2, episodes, rate) > level
+
+
+def test_the_levels_of_all_confirmations_add_up_to_the_chance_of_a_false_stop() -> None:
+    assert sum(error_level(number) for number in range(1, 10_000)) == pytest.approx(FALSE_STOPS, rel=1e-3)
+
+
+def test_the_lower_bound_is_that_of_student_with_one_more_return() -> None:
+    values = [3.0, 4.0, 5.0, 9.0, 0.0]
+    half = t.ppf(0.975, 4) * np.std(values, ddof=1) / math.sqrt(5)
+    assert lower_bound(values[:4], 0.0, 0.025) == pytest.approx(np.mean(values) - half)
+
+
+@pytest.mark.parametrize(("criterion", "episodes"), [(Solved(2, success_rate=1.0), 184), (Solved(20, success_rate=0.9), 40)])
+def test_a_criterion_of_few_episodes_is_confirmed_with_more(criterion: Solved, episodes: int) -> None:
+    plan = Confirmation.plan(criterion, 1, BOUNDS)
+    assert plan is not None
+    assert plan.episodes == episodes
+
+
+def test_a_confirmation_ends_as_soon_as_it_cannot_pass() -> None:
+    plan = Confirmation.plan(RATE, 1, BOUNDS)
+    assert plan is not None
+    bad, fine = Episode(0.0, 1, False, None), Episode(0.0, 1, True, None)
+    assert not plan.is_lost([bad] * 5)
+    assert plan.is_lost([bad] * 6)
+    assert not plan.passes([fine] * 94)
+    assert plan.passes([fine] * 95 + [bad] * 5)
+    assert not plan.passes([fine] * 94 + [bad] * 6)
+
+
+def test_policies_below_the_bar_rarely_stop_a_training_and_policies_above_it_do() -> None:
+    assert stops(simulate(RATE, [0.85] * LOOKS, successes, 100, seed=1)) <= 0.05
+    assert stops(simulate(RATE, [0.97] * LOOKS, successes, 50, seed=2)) >= 0.95
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [0.80, 0.82, 0.84, 0.85, 0.86, 0.87, 0.88])
+def test_false_stops_over_all_looks_of_a_training(rate: float) -> None:
+    outcomes = simulate(RATE, [rate] * LOOKS, successes, 2_000, seed=10 + round(100 * rate))
+    print(
+        f"{rate:.0%}: false stops {stops(outcomes):.2%}, failed confirmations {np.median([each.failed for each in outcomes]):.0f} episodes"
+    )
+    assert stops(outcomes) <= FALSE_STOPS
+    assert max(each.share for each in outcomes) <= 0.15
+
+
+@pytest.mark.slow
+def test_a_policy_of_95_percent_stops_its_training() -> None:
+    outcomes = simulate(RATE, [0.95] * LOOKS, successes, 2_000, seed=3)
+    print(f"never stopped {1 - stops(outcomes):.2%}, median cost {np.median([each.failed for each in outcomes]):.0f} episodes")
+    assert stops(outcomes) >= 0.95
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("first", "last"), [(0.6, 0.88), (0.8, 0.88), (0.5, 0.95)])
+def test_rising_rates_do_not_stop_a_training_early(first: float, last: float) -> None:
+    outcomes = simulate(RATE, list(np.linspace(first, last, LOOKS)), successes, 2_000, seed=4)
+    print(f"{first:.0%} to {last:.0%}: stops at most 2 points below the bar {stops(outcomes, 0.88):.2%}")
+    assert stops(outcomes, 0.88) <= FALSE_STOPS
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("draw", [falls, uniform])
+@pytest.mark.parametrize("mean", [185.0, 188.0, 190.0, 191.0])
+def test_false_stops_of_a_mean_return(draw: Draw, mean: float) -> None:
+    outcomes = simulate(RETURN, [mean] * LOOKS, draw, 2_000, seed=5)
+    print(f"{draw.__name__} {mean:g}: false stops {stops(outcomes):.2%}")
+    assert stops(outcomes) <= FALSE_STOPS
+
+
+@pytest.mark.slow
+def test_a_mean_return_of_199_stops_its_training() -> None:
+    assert stops(simulate(RETURN, [199.0] * LOOKS, falls, 500, seed=6)) >= 0.95
