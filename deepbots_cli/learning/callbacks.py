@@ -298,7 +298,7 @@ class TrainingCallback:
         self._reported = time.monotonic()
         self._evaluations = 0
         self._evaluated: Candidate | None = None
-        self._stop_noted = False
+        self._stop_noted, self._refused_noted = False, False
         newest = zip(run.program.agent.numbers, run.program.agent.newest, strict=True)
         self._seen = {number.full_name: place for number, place in newest if number.clip and not number.is_truth}
         """Where the newest value of each clipped number stands in an observation; a truth value is always at an end of its range."""
@@ -437,7 +437,11 @@ class TrainingCallback:
     def _evaluation_share(self) -> float:
         """What evaluations may take now of the steps of the training."""
         share = URGENT_SHARE if self.teaching is not None or self._seems_solved() else EVALUATION_SHARE
-        return share * (OFF_POLICY_FACTOR if self.learner.is_off_policy else 1.0)
+        return self._off_policy_factor * share
+
+    @property
+    def _off_policy_factor(self) -> float:
+        return OFF_POLICY_FACTOR if self.learner.is_off_policy else 1.0
 
     def _seems_solved(self) -> bool:
         """Whether the recent episodes of the training, with exploration, meet `solved`, which no confirmation has shown."""
@@ -490,11 +494,17 @@ class TrainingCallback:
     def _confirm(self, scenario: Program, stage: str | None) -> None:
         """Play new starts to show that the present networks solve the task, unless failed confirmations took their share of the steps."""
         statistics, number = self.statistics, self._confirmations + 1
-        if number > 1 and self._confirmation_steps > COST_SHARE * statistics.steps:
+        if number > 1 and self._confirmation_steps > self._off_policy_factor * COST_SHARE * statistics.steps:
             return
         assert statistics.solved is not None
         plan = Confirmation.plan(statistics.solved, number, self._possible_returns())
         if plan is None:
+            if not self._refused_noted:
+                self._refused_noted = True
+                self.reporter.note(
+                    "an evaluation meets `solved`, but 100,000 new starts are too few to confirm it, and the training goes on; "
+                    "write fewer episodes, such as `over 100 episodes`, or a lower value"
+                )
             return
         self._activity = f"confirming on {plan.episodes:,} new starts: needs {plan.requirement}"
         self._report()
@@ -507,16 +517,20 @@ class TrainingCallback:
         self._confirmations, self._activity = number, ""
         self._confirmation_steps += sum(episode.length for episode in done)
         summary = Summary.of_episodes(done)
-        if plan.passes(done):
-            self.confirmed = Confirmed(root, number, done)
-            statistics.note_solved(summary.mean_return, summary.success_rate)
-            if self._until_solved:
-                assert self._evaluated is not None
-                self.shortlist.put_first(self._evaluated.joined(summary), self.learner.save)
-        else:
-            successes = f"{summary.successes:,} of {summary.episodes:,} new starts succeed"
-            score = successes if plan.successes else f"a mean return of {summary.mean_return:.4g} on {summary.episodes:,} new starts"
-            self.reporter.note(f"not confirmed after {statistics.steps:,} steps: {score}; the training goes on")
+        passes = plan.passes(done)
+        score = f"a mean return of {summary.mean_return:.4g} on {summary.episodes:,} new starts"
+        if plan.successes:
+            score = f"{summary.successes:,} of {summary.episodes:,} new starts succeed"
+        outcome = "confirmed" if passes else "not confirmed"
+        going_on = "" if passes and self._until_solved else "; the training goes on"
+        self.reporter.note(f"{outcome} after {statistics.steps:,} steps: {score}{going_on}")
+        if not passes:
+            return
+        self.confirmed = Confirmed(root, number, done)
+        statistics.note_solved(summary.mean_return, summary.success_rate)
+        if self._until_solved:
+            assert self._evaluated is not None
+            self.shortlist.put_first(self._evaluated.joined(summary), self.learner.save)
 
     def _possible_returns(self) -> Interval:
         """The lowest and the highest return: the possible ones, or where they are unknown, those of all evaluations so far."""

@@ -33,7 +33,7 @@ FALSE_STOPS = 0.05
 MARGIN = 0.02
 """Of a success rate, or of the range of returns."""
 COST_SHARE = 0.1
-"""Confirmations that fail take at most this share of the steps of the training, and the last of them."""
+"""No further confirmation begins once those that failed took this share of the steps of the training."""
 _MAX_EPISODES = 100_000
 
 

@@ -224,7 +224,10 @@ def test_a_quick_evaluation_does_not_replace_the_result_of_a_report(run, tmp_pat
     assert Report.read(copy).result == before
     (copy / "evaluations" / "0001.json").unlink()
     (copy / "evaluations" / "0002.json").write_text(json.dumps(quick | {"planned": 12}))
-    assert "over 3 held-out episodes from seed 3 (stopped by a requirement after 3 of 12 episodes)" in Report.read(copy).result
+    assert (
+        "over 3 held-out episodes of the model after 256 steps, from seed 3 (stopped by a requirement after 3 of 12 episodes)"
+        in Report.read(copy).result
+    )
 
 
 def test_a_report_replaces_no_file_without_force(run, tmp_path, monkeypatch, capsys):

@@ -124,7 +124,7 @@ def test_a_trial_is_a_group_and_a_study_is_listed_with_the_values_of_its_trials(
     assert (listed.state, listed.planned, len(listed.runs)) == ("finished", 2, 2)
     first = read_listed(whole.path / "trial-0")
     assert first.settings == ("train.learning_rate=0.001", "fall_angle=3 deg")
-    assert [run.evaluated_episodes for run in first.runs] == [2]
+    assert [run.evaluated_episodes for run in first.runs] == [5]  # as many as `solved` asks for
     assert [round(each.score, 9) for each in whole.trials()[0].seeds] == [
         round(score("solved", Solved(5, mean_return=195.0), run.mean_return or 0.0, 0.0, None), 9) for run in first.runs
     ]
