@@ -87,9 +87,17 @@ def stops(outcomes: Sequence[Outcome], below: float = math.inf) -> float:
     return float(np.mean([each.stopped_with is not None and each.stopped_with <= below for each in outcomes]))
 
 
-def test_the_first_confirmations_of_90_percent_need_95_96_and_97_of_100() -> None:
+def test_the_first_confirmations_of_90_percent_need_95_of_100_then_187_and_188_of_200() -> None:
     plans = [Confirmation.plan(RATE, number, BOUNDS) for number in (1, 2, 3)]
-    assert [(plan.successes, plan.episodes) for plan in plans if plan is not None] == [(95, 100), (96, 100), (97, 100)]
+    assert [(plan.successes, plan.episodes) for plan in plans if plan is not None] == [(95, 100), (187, 200), (188, 200)]
+
+
+@pytest.mark.parametrize("number", [1, 2, 5, 10])
+@pytest.mark.parametrize("rate", [0.5, 0.9, 0.95, 0.99])
+def test_half_of_the_policies_halfway_to_100_percent_pass_a_confirmation(rate: float, number: int) -> None:
+    plan = Confirmation.plan(Solved(100, success_rate=rate), number, BOUNDS)
+    assert plan is not None
+    assert binom.sf(plan.successes - 1, plan.episodes, (1 + rate) / 2) >= 0.5
 
 
 @pytest.mark.parametrize("episodes", [1, 7, 100, 1_000])
@@ -111,7 +119,7 @@ def test_the_lower_bound_is_that_of_student_with_one_more_return() -> None:
     assert lower_bound(values[:4], 0.0, 0.025) == pytest.approx(np.mean(values) - half)
 
 
-@pytest.mark.parametrize(("criterion", "episodes"), [(Solved(2, success_rate=1.0), 184), (Solved(20, success_rate=0.9), 40)])
+@pytest.mark.parametrize(("criterion", "episodes"), [(Solved(2, success_rate=1.0), 184), (Solved(20, success_rate=0.9), 100)])
 def test_a_criterion_of_few_episodes_is_confirmed_with_more(criterion: Solved, episodes: int) -> None:
     plan = Confirmation.plan(criterion, 1, BOUNDS)
     assert plan is not None
