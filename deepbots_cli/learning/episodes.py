@@ -9,8 +9,7 @@ import os
 import time
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from itertools import pairwise
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import Annotated, Any, TextIO
@@ -19,7 +18,6 @@ from pydantic import BaseModel, Field, NonNegativeInt
 
 from deepbots_cli.errors import RunError
 from deepbots_cli.files import unwritable_message
-from deepbots_cli.program.draws import is_of_member
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 
@@ -235,6 +233,9 @@ def meets_solved(solved: Solved, mean_return: float, success_rate: float) -> boo
 
 # Of an evaluation
 
+SUCCESS_STATISTICS = ("successes", "success_rate", "success_interval")
+"""Fields of `Summary` that mean nothing where the scenario defines no success."""
+
 
 @dataclass(frozen=True)
 class Summary:
@@ -293,49 +294,3 @@ class Summary:
     def meets_solved(self, solved: Solved | None) -> bool:
         """Whether these means count as solved; False where the scenario does not say what does."""
         return solved is not None and meets_solved(solved, self.mean_return, self.success_rate)
-
-
-@dataclass(frozen=True)
-class DrawnBin:
-    """The episodes in which a drawn value lies from `low` to `high` (both included); for a drawn name, both are this name.
-
-    The statistics are those of `Summary`.
-    """
-
-    low: float | str
-    high: float | str
-    episodes: int
-    mean_return: float
-    return_interval: Interval | None
-    successes: int
-    success_rate: float
-    success_interval: Interval
-
-
-MAX_OPTIONS, BINS = 6, 4
-"""A value with at most 6 different outcomes has a bin for each of them, any other value 4 bins with as many episodes each."""
-
-
-def by_drawn_value(done: Sequence[Episode], bounds: Interval = UNBOUNDED) -> dict[str, tuple[DrawnBin, ...]]:
-    """Success and return by each value that the episodes draw, by its place in the scenario.
-
-    Values that do not vary are left out, and so are those of single members of a group, which have no meaning of their own.
-    """
-    names = {name: None for episode in done for name in episode.drawn if not is_of_member(name)}
-    found = {name: _bins([episode for episode in done if name in episode.drawn], name, bounds) for name in names}
-    return {name: bins for name, bins in found.items() if len(bins) > 1}
-
-
-def _bins(done: Sequence[Episode], name: str, bounds: Interval) -> tuple[DrawnBin, ...]:
-    ordered = sorted(done, key=lambda episode: episode.drawn[name])
-    options = {episode.drawn[name] for episode in ordered}
-    if len(options) <= MAX_OPTIONS:
-        parts = [[episode for episode in ordered if episode.drawn[name] == option] for option in sorted(options)]
-    else:
-        edges = [len(ordered) * part // BINS for part in range(BINS + 1)]
-        parts = [ordered[first:end] for first, end in pairwise(edges)]
-    kept = [entry.name for entry in fields(DrawnBin)][2:]
-    found = [(part, Summary.of_episodes(part, bounds)) for part in parts if part]
-    return tuple(
-        DrawnBin(part[0].drawn[name], part[-1].drawn[name], **{key: getattr(summary, key) for key in kept}) for part, summary in found
-    )
