@@ -223,8 +223,12 @@ def drawn_text(result: EvaluationResult) -> str:
     if not effects.values:
         return "by drawn value\n  episodes of this scenario draw nothing that varies"
     rows = [
-        {"name": value.name, "range": value.label.range_text(part), "episodes": part.episodes}
-        | scores(part, success_defined=result.success_defined)
+        {
+            "name": value.name,
+            "range": value.label.range_text(part),
+            "episodes": part.episodes,
+            **scores(part, success_defined=result.success_defined),
+        }
         for value in effects.effective[:MAX_DRAWN]
         for part in value.parts
     ]

@@ -71,7 +71,10 @@ def criterion_value(t: TrainingEvidence) -> float | None:
     if until.episodes is None:
         values = t.evaluations[-1]["successes" if until.metric == "success_rate" else "returns"] if t.evaluations else []
     else:
-        values = _measured(t.episodes, until)[-until.episodes :].tolist()
+        # The log of a training does not name worlds: with several, this is near what the training counts.
+        training = t.program.agent.training
+        count = max(until.episodes, training.environments if training else 1)
+        values = _measured(t.episodes, until)[-count:].tolist()
     return fmean(values) if values else None
 
 

@@ -90,6 +90,7 @@ class DrawnEffects:
         starts: The number of different starts; episodes of several policies from one start count as one.
         detectable: The effect that is found with a probability of `POWER`: the difference of the outcome between the
             lowest and the highest quarter of a value. None where so few episodes show no possible effect.
+        is_constant: Whether all episodes have the same outcome.
         values: The values by name: those with an effect first, then those without; in both, parameters of the scenario
             first, the smallest `chance` first.
     """
@@ -97,6 +98,7 @@ class DrawnEffects:
     outcome: Outcome
     starts: int
     detectable: float | None
+    is_constant: bool
     values: Mapping[str, DrawnValue]
 
     @property
@@ -109,7 +111,9 @@ class DrawnEffects:
         """How many values have an effect, and which effect would have been found."""
         count, total = len(self.effective), len(self.values)
         many = f"the {total} drawn values" if total > 1 else "the drawn value"
-        if self.detectable is None:
+        if self.is_constant:
+            size = "all episodes have the same one"
+        elif self.detectable is None:
             size = f"{self.starts:,} episodes are too few to find one"
         else:
             points = f"{100 * self.detectable:.0f} percentage points"
@@ -185,7 +189,8 @@ def by_drawn_value(
     if values and len(results) > 1:
         needed = float(ndtri(1 - ALPHA / (2 * len(values))) + ndtri(POWER)) / math.sqrt(len(results) - 1)
         detectable = _detectable(needed, results, outcome)
-    return DrawnEffects(outcome, len(results), detectable, {value.name: value for value in values})
+    is_constant = bool(len(results)) and float(np.ptp(results)) == 0
+    return DrawnEffects(outcome, len(results), detectable, is_constant, {value.name: value for value in values})
 
 
 def _is_ordered(drawn: Sequence[object]) -> bool:

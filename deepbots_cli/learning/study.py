@@ -371,8 +371,8 @@ class Study:
         first = next((trial for trial in ranked if trial.number == 0 and self.record.present), None)
         if first is None or ranked[0] is first:
             return None
-        scores = [[each.score for each in trial.seeds] for trial in (first, ranked[0])]
-        difference = compare_seeds(*scores, self.record.score_bounds, ALPHA / (len(ranked) - 1))
+        own, best = ([each.score for each in trial.seeds] for trial in (first, ranked[0]))
+        difference = compare_seeds(own, best, self.record.score_bounds, ALPHA / (len(ranked) - 1))
         is_better = (difference.mean < 0) == self.record.lower_is_better
         return OverFirst(difference, is_better and difference.certain)
 

@@ -108,6 +108,11 @@ def test_the_return_counts_where_all_episodes_succeed() -> None:
     assert _named(effects) == ["near"]
 
 
+def test_episodes_with_one_outcome_are_not_called_too_few() -> None:
+    effects = by_drawn_value([Episode(200.0, 1, True, None, drawn={"near": number / 50}) for number in range(50)])
+    assert effects.conclusion == "the drawn value does not have an effect on the return (all episodes have the same one)"
+
+
 def test_episodes_of_several_policies_from_one_start_count_once() -> None:
     done = [Episode(0.0, 1, start % 3 == 0, None, seed=start, drawn={"near": float(start)}) for start in range(12)]
     assert by_drawn_value(done * 5).starts == 12
