@@ -17,7 +17,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import Row, row_as_lines, table
 from deepbots_cli.errors import RunError
 from deepbots_cli.files import atomic_write
-from deepbots_cli.learning.episodes import DrawnBin, Interval, Summary
+from deepbots_cli.learning.episodes import Interval, Summary
 from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import PATIENCE, EvaluationRecord, Run, TrainingResult, in_parentheses
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from deepbots_cli.view.frames import WorldFrame
 
 MAX_DRAWN = 8
-"""Drawn values that `--details` shows, those with the largest effect; `--json` has all of them."""
+"""Drawn values with an effect that `--details` shows; `--json` has all of them."""
 
 
 # Statistics
@@ -218,27 +218,23 @@ def case_label(result: EvaluationResult | EvaluationRecord) -> str | None:
 
 
 def drawn_text(result: EvaluationResult) -> str:
-    """Success, or the return where there is none, by the values that episodes draw; those with the largest effect first."""
-    found = result.by_drawn_value
-    if not found:
+    """The drawn values that have an effect, with the episodes by the parts of their ranges; parameters of the scenario first."""
+    effects = result.by_drawn_value
+    if not effects.values:
         return "by drawn value\n  episodes of this scenario draw nothing that varies"
-
-    def effect(name: str) -> float:
-        values = [part.success_rate if result.success_defined else part.mean_return for part in found[name]]
-        return max(values) - min(values)
-
     rows = [
-        {"name": name, "range": _range(part), "episodes": part.episodes, **scores(part, success_defined=result.success_defined)}
-        for name in sorted(found, key=effect, reverse=True)[:MAX_DRAWN]
-        for part in found[name]
+        {
+            "name": value.name,
+            "range": value.label.range_text(part),
+            "episodes": part.episodes,
+            **scores(part, success_defined=result.success_defined),
+        }
+        for value in effects.effective[:MAX_DRAWN]
+        for part in value.parts
     ]
-    left = len(found) - MAX_DRAWN
+    left = len(effects.effective) - MAX_DRAWN
     more = f"\n  and {left} more; --json has all of them" if left > 0 else ""
-    return f"by drawn value, in SI units\n{table(rows)}{more}"
-
-
-def _range(part: DrawnBin) -> str:
-    return interval_text((part.low, part.high), lambda end: end if isinstance(end, str) else f"{end:.4g}")
+    return f"by drawn value: {effects.conclusion}\n{table(rows) if rows else '  --json has the parts of each value'}{more}"
 
 
 def group_text(group: GroupResult) -> str:

@@ -140,6 +140,9 @@ class Unit(NamedTuple):
     def to_si(self, value: float) -> float:
         return value * self.scale / self.divisor
 
+    def from_si(self, value: float) -> float:
+        return value * self.divisor / self.scale
+
     def times(self, other: Unit) -> Unit:
         return Unit(f"{self.text}*{other.text}", self.dimension * other.dimension, self.scale * other.scale, self.divisor * other.divisor)
 

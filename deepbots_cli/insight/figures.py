@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deepbots_cli import frames
+from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.footprint import bounds_of_shape
 from deepbots_cli.frames import Frame, Triple
-from deepbots_cli.learning.episodes import by_drawn_value
+from deepbots_cli.learning.draws import DrawnEffects
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.robots.model import Cylinder, Sphere
 from deepbots_cli.rollout import Episode
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
     from deepbots_cli.insight.report import ReportEpisode
 
 SUCCESS, FAILURE = "#009E73", "#D55E00"
-_MAX_STARTS = 6
+_MAX_STARTS, _MAX_WITHOUT_EFFECT = 6, 2  # drawn values in a figure
 _MAX_TICKS = 6  # of an axis whose numbers may be long
 _WIDTH, _WIDE_WIDTH = 5.0, 8.0  # inches
 _MIN_CLIMB = 0.25  # of its longer side; a trajectory that climbs more is also drawn from the side
@@ -124,33 +125,39 @@ def endings(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     return _with_legend(figure, style_panel(panel, "fraction of training episodes by ending", theme, stages=[logs]))
 
 
-def starts(episodes: Sequence[Episode], theme: str, *, success_defined: bool) -> Figure | None:
-    """Drawn values of evaluation episodes against the return; bars are means of parts of the range with their intervals."""
-    bins = by_drawn_value(episodes)
-    effects = {name: np.ptp([part.mean_return for part in parts]) for name, parts in bins.items()}
-    names = sorted(bins, key=lambda name: -effects[name])[:_MAX_STARTS]
-    if not names:
+def starts(episodes: Sequence[Episode], effects: DrawnEffects, theme: str, *, success_defined: bool) -> Figure | None:
+    """Drawn values of evaluation episodes against the return; bars are means of parts of the range with their intervals.
+
+    Shown are the values that have an effect; without one, those that `effects` lists first.
+    """
+    shown = effects.effective[:_MAX_STARTS] or list(effects.values.values())[:_MAX_WITHOUT_EFFECT]
+    if not shown:
         return None
-    columns = min(2, len(names))
-    rows = math.ceil(len(names) / columns)
+    columns = min(2, len(shown))
+    rows = math.ceil(len(shown) / columns)
     figure, panels = new_figure(theme, 0.4 + 2.3 * rows, columns, rows, _WIDE_WIDTH)
-    for panel, name in zip(panels.flat, names, strict=False):
+    for panel, value in zip(panels.flat, shown, strict=False):
+        name, unit = value.name, value.label.unit
         drawn = [episode for episode in episodes if name in episode.drawn]
         words = sorted({str(episode.drawn[name]) for episode in drawn}) if isinstance(drawn[0].drawn[name], str) else []
-        at = [words.index(str(episode.drawn[name])) if words else float(episode.drawn[name]) for episode in drawn]
+
+        def place(number: float | str, words: Sequence[str] = words, unit: Unit = unit) -> float:
+            return words.index(str(number)) if words else unit.from_si(float(number))
+
+        at = [place(episode.drawn[name]) for episode in drawn]
         colors = [(SUCCESS if episode.is_success else FAILURE) if success_defined else COLORS[0] for episode in drawn]
         panel.scatter(at, [episode.total_return for episode in drawn], s=12, c=colors, alpha=0.8, linewidths=0, rasterized=len(drawn) > 300)
-        for part in bins[name]:
-            low, high = (words.index(str(end)) if words else float(end) for end in (part.low, part.high))
+        for part in value.parts:
+            low, high = place(part.low), place(part.high)
             middle, wide = (low + high) / 2, high > low
             panel.plot((low, high) if wide else (middle - 0.02, middle + 0.02), [part.mean_return] * 2, color=THEMES[theme][1], linewidth=2)
             if part.return_interval is not None:
                 panel.plot([middle] * 2, part.return_interval, color=THEMES[theme][1], linewidth=1)
-        style_panel(panel, "", theme, legend=False, axes=(name, "return"))
+        style_panel(panel, "", theme, legend=False, axes=(name if unit == ONE else f"{name}, {unit.text}", "return"))
         panel.locator_params(axis="x", nbins=_MAX_TICKS)
         if words:
             panel.set_xticks(range(len(words)), [word[:12] for word in words], parse_math=False)
-    for panel in list(panels.flat)[len(names) :]:
+    for panel in list(panels.flat)[len(shown) :]:
         panel.set_visible(False)
     return figure
 

@@ -31,6 +31,7 @@ from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.insight import figures
 from deepbots_cli.insight.templates import render_template
 from deepbots_cli.insight.training import lint_findings
+from deepbots_cli.learning.draws import by_drawn_value, draw_labels
 from deepbots_cli.learning.episodes import UNBOUNDED
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, EvaluationWithEpisodes, Run, RunRecord, in_parentheses, is_training
@@ -270,7 +271,7 @@ class Report:
         mean = "Moving means over 100 episodes of the training, in which the policy explores."
         mean += " The script that teaches the policy drives at first." if any("driven_worlds" in log.lessons for log in logs) else ""
         mean += " Each stage of the curriculum is averaged by itself." if any(log.stages for log in logs) else ""
-        diamond = " The diamond is the evaluation after the training." if any(log.evaluation for log in logs) else ""
+        diamond = " The diamond is the evaluation of the best model, at its step." if any(log.evaluation for log in logs) else ""
         yield "returns", f"{mean}{seeds}{diamond}", figures.returns(logs, theme)
         yield "successes", f"{mean}{seeds}{diamond if defined else ''}", figures.successes(logs, theme)
         lessons = "While the policy only imitates, the imitation loss has the weight 1; then the weight falls to 0."
@@ -283,11 +284,13 @@ class Report:
         yield "shares", shares, figures.shares(logs, theme)
         yield "endings", f"How episodes of the training end. {mean}", figures.endings(logs, theme)
         colors = "green: success, orange: no success; " if defined else ""
+        effects = by_drawn_value(outcomes, draw_labels(self.runs[0].run.program))
+        found = f"{effects.conclusion[:1].upper()}{effects.conclusion[1:]}."
         caption = (
-            f"Each point is an evaluation episode ({colors}{len(outcomes):,} in all). Bars are means over parts of the range, with 95 % "
-            "intervals. Values in SI units, those with the largest effect first."
+            f"{found} Each point is an evaluation episode ({colors}{len(outcomes):,} in all). "
+            "Bars are means over parts of the range, with 95 % intervals."
         )
-        yield "starts", caption, figures.starts(outcomes, theme, success_defined=defined)
+        yield "starts", caption, figures.starts(outcomes, effects, theme, success_defined=defined)
         if self.episodes:
             world = self.runs[0].run.program.world
             figure = figures.trajectories(self.episodes, self.moving, world, self.outlines, theme)

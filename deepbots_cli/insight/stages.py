@@ -14,7 +14,7 @@ from deepbots_cli.document.nodes import entries_at, inline_text
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
-from deepbots_cli.learning.episodes import DrawnBin, by_drawn_value
+from deepbots_cli.learning.draws import DrawLabel, DrawnBin, by_drawn_value, draw_labels
 from deepbots_cli.program.task import Criterion
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
@@ -71,7 +71,10 @@ def criterion_value(t: TrainingEvidence) -> float | None:
     if until.episodes is None:
         values = t.evaluations[-1]["successes" if until.metric == "success_rate" else "returns"] if t.evaluations else []
     else:
-        values = _measured(t.episodes, until)[-until.episodes :].tolist()
+        # The log of a training does not name worlds: with several, this is near what the training counts.
+        training = t.program.agent.training
+        count = max(until.episodes, training.environments if training else 1)
+        values = _measured(t.episodes, until)[-count:].tolist()
     return fmean(values) if values else None
 
 
@@ -251,18 +254,20 @@ def some_starts_fail(t: TrainingEvidence) -> Numbers | None:
     if not is_flat and not t.final_episodes:  # they may still be learned
         return None
     source, done = _episodes_with_draws(t)
-    found = by_drawn_value(done)
-    named = [(chance, name, bins) for name, bins in found.items() if (chance := _chance(bins)) < _CHANCE / len(found)]
-    apart = [(name, bins) for _, name, bins in sorted(named, key=lambda entry: entry[0]) if _is_apart(bins)]
-    if not apart:
+    values = list(by_drawn_value(done, draw_labels(t.program)).values.values())
+    # A value whose middle fails has no trend, but its parts differ.
+    differing = (value for value in values if value.has_effect or _chance(value.parts) < _CHANCE / len(values))
+    chosen = next((value for value in differing if _is_apart(value.parts)), None)
+    if chosen is None:
         return None
-    name, bins = apart[0]
+    name, bins, label = chosen.name, chosen.parts, chosen.label
     worst, best = (choose(bins, key=lambda each: each.success_rate) for choose in (min, max))
     rates = [{"low": b.low, "high": b.high, "episodes": b.episodes, "rate": b.success_rate, "interval": b.success_interval} for b in bins]
-    parts = "; ".join(f"{_range(each)} {each.success_rate:.0%}" for each in bins)
+    parts = "; ".join(f"{_range(each, label)} {each.success_rate:.0%}" for each in bins)
     flat = "The success rate no longer rises, and it" if is_flat else "Success"
-    return {"likelihood": 0.92 if is_flat else 0.55, "flat": flat, "drawn": name, "worst": _range(worst), "failing": _bin_rate(worst),
-            "best": _range(best), "succeeding": _bin_rate(best), "source": source, "parts": parts, "bins": rates}  # fmt: skip
+    return {"likelihood": 0.92 if is_flat else 0.55, "flat": flat, "drawn": name,
+            "worst": _range(worst, label), "failing": _bin_rate(worst),
+            "best": _range(best, label), "succeeding": _bin_rate(best), "source": source, "parts": parts, "bins": rates}  # fmt: skip
 
 
 def _episodes_with_draws(t: TrainingEvidence) -> tuple[str, Sequence[Episode]]:
@@ -295,10 +300,9 @@ def _is_apart(bins: Sequence[DrawnBin]) -> bool:
     return min(each.success_interval[1] for each in bins) < 0.5 * max(each.success_interval[0] for each in bins)
 
 
-def _range(part: DrawnBin) -> str:
-    if isinstance(part.low, str) or isinstance(part.high, str):
-        return str(part.low)
-    return f"{part.low:.3g}" if part.low == part.high else f"from {part.low:.3g} to {part.high:.3g}"
+def _range(part: DrawnBin, label: DrawLabel) -> str:
+    text = label.range_text(part)
+    return f"from {text.replace(' .. ', ' to ')}" if " .. " in text else text
 
 
 def _bin_rate(part: DrawnBin) -> str:

@@ -17,8 +17,10 @@ teacher.py       a script or a recording as teacher: when the policy imitates it
 demonstrations.py  the episodes of a recording, run again to teach
 scaling.py       the speed of a training with several numbers of shards
 curriculum.py    the stages of a training
+generations.py   windows over training episodes, equally many of each world
 scenario_tests.py  the tests of a scenario
 episodes.py      what episodes leave behind: log, statistics, solved, summaries with intervals
+draws.py         which drawn values have an effect on episodes
 group.py         groups: a folder with a run per seed, trained one after the other or on workers
 spread.py        calls of a function with several items: in this process, or on workers
 study.py         studies: searches over values of a scenario, a group for each trial

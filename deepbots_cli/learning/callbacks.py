@@ -367,7 +367,7 @@ class TrainingCallback:
             self.reporter.note(teaching.begin(stage, played, scenario.defines_success) + reads)
         drove, plan = teaching.drives, teaching.plan(self.statistics.steps)
         if drove and not teaching.drives:
-            self.statistics.recent.clear()
+            self.statistics.begin_anew()
         self.log.record("teacher/weight", plan.weight)
         if teaching.demonstrations is None:
             driven = 0 if plan.lesson is None else plan.lesson.worlds
@@ -392,7 +392,7 @@ class TrainingCallback:
         """Returns of one stage say nothing in another: the best is sought anew."""
         self.shortlist.clear()
         self._returns = None
-        self.statistics.recent.clear()
+        self.statistics.begin_anew()
 
     def progress(self) -> TrainingProgress:
         s = self.statistics
@@ -464,7 +464,7 @@ class TrainingCallback:
         check_finite(self.learner, self.run)
         statistics, steps = self.statistics, self.statistics.steps
         fits = self.evaluator.steps + EVALUATION_EPISODES * statistics.mean_length <= share * steps
-        if statistics.newest(EVALUATION_EPISODES) is None or steps == self._evaluated_at or not fits:
+        if not statistics.has_episodes(EVALUATION_EPISODES) or steps == self._evaluated_at or not fits:
             return
         began = time.monotonic()
         scenario, stage = self.curriculum.scenario_of(self.curriculum.index), self.curriculum.name

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -10,6 +9,7 @@ from typing import Annotated
 from pydantic import BaseModel, Field, NonNegativeInt
 
 from deepbots_cli.errors import RunError
+from deepbots_cli.learning.generations import Generations
 from deepbots_cli.program import CurriculumStage, Program
 from deepbots_cli.program.task import Criterion
 from deepbots_cli.rollout import Episode
@@ -31,21 +31,28 @@ class CurriculumState(BaseModel, strict=True, allow_inf_nan=False):
     ends: Annotated[list[CompletedStage], Field(max_length=1_000)]
     first_step: NonNegativeInt
     recent: list[float]
+    worlds: list[NonNegativeInt] | None = None
+    """The world of each recent value; versions before 0.2 did not keep it."""
 
 
 class Curriculum:
     """Follows a training through the stages of its scenario; without stages, there is the scenario alone.
 
     Worlds change over one by one, each when its episode ends: no episode is cut short, and an episode of an earlier stage does not
-    count for a later one.
+    count for a later one. A criterion over episodes counts whole generations of the worlds.
+
+    Args:
+        program: The scenario.
+        first: The name of the stage to begin in, if not the first one.
+        worlds: The number of worlds.
+        copies: The number of copies of a robot in each world.
+
+    Raises:
+        UsageError: The scenario has no such stage.
     """
 
-    def __init__(self, program: Program, first: str | None = None) -> None:
-        """`first` names the stage to begin in, if not the first one.
-
-        Raises:
-            UsageError: The scenario has no such stage.
-        """
+    def __init__(self, program: Program, first: str | None = None, worlds: int = 1, copies: int = 1) -> None:
+        self._worlds, self._copies = worlds, copies
         self._program = program
         self.stages: Sequence[CurriculumStage] = program.curriculum
         self._skipped = 0 if first is None else self.stages.index(program.stage(first))
@@ -55,7 +62,9 @@ class Curriculum:
     def _begin(self, steps: int) -> None:
         until = self.criterion
         self._first_step = steps
-        self._recent: deque[float] = deque(maxlen=(until.episodes or 1) if until else 1)
+        self._recent = Generations[float](1)
+        if until is not None and until.episodes is not None:
+            self._recent = Generations[float](until.episodes, self._worlds, self._copies)
 
     @property
     def index(self) -> int:
@@ -85,28 +94,35 @@ class Curriculum:
     def value(self, steps: int) -> float | None:
         """What the criterion compares with its threshold, after `steps` steps in all.
 
-        None without a criterion, and before there are enough episodes or an evaluation.
+        None without a criterion, and before there are enough episodes of each world or an evaluation.
         """
         until = self.criterion
         if until is None:
             return None
         if until.metric == "steps":
             return float(steps - self._first_step)
-        return sum(self._recent) / len(self._recent) if len(self._recent) == self._recent.maxlen else None
+        if not self._recent.is_full:
+            return None
+        values = self._recent.finished
+        return sum(values) / len(values)
 
-    def add(self, episode: Episode, steps: int, episodes: int) -> bool:
-        """Count an episode of the present stage; whether the next one begins with it. `steps` and `episodes` count from the very start."""
-        return self._add(episode.total_return, float(episode.is_success), steps, episodes, of_evaluation=False)
+    def add(self, episode: Episode, steps: int, episodes: int, world: int = 0) -> bool:
+        """Count an episode of a world in the present stage; whether the next one begins with it.
+
+        `steps` and `episodes` count from the very start.
+        """
+        return self._add(episode.total_return, float(episode.is_success), steps, episodes, world)
 
     def add_evaluation(self, mean_return: float, success_rate: float, steps: int, episodes: int) -> bool:
         """Count an evaluation in the present stage; whether the next one begins after it. `steps` and `episodes` are as for `add`."""
-        return self._add(mean_return, success_rate, steps, episodes, of_evaluation=True)
+        return self._add(mean_return, success_rate, steps, episodes, None)
 
-    def _add(self, mean_return: float, success_rate: float, steps: int, episodes: int, *, of_evaluation: bool) -> bool:
+    def _add(self, mean_return: float, success_rate: float, steps: int, episodes: int, world: int | None) -> bool:
+        """Count an episode of a world, or an evaluation, which has none."""
         until = self.criterion
-        if until is None or (until.episodes is None) != of_evaluation:
+        if until is None or (until.episodes is None) != (world is None):
             return False
-        self._recent.append(success_rate if until.metric == "success_rate" else mean_return)
+        self._recent.add(success_rate if until.metric == "success_rate" else mean_return, world or 0)
         value = self.value(steps)
         if value is None or value < until.threshold:
             return False
@@ -125,17 +141,19 @@ class Curriculum:
         return f"{place}: {metric} {'-' if value is None else format(value, form)} of {until.threshold:{form}}"
 
     def state(self) -> CurriculumState:
-        return CurriculumState(ends=self.completed, first_step=self._first_step, recent=list(self._recent))
+        recent, worlds = self._recent.state()
+        return CurriculumState(ends=self.completed, first_step=self._first_step, recent=recent, worlds=worlds)
 
     def restore(self, state: CurriculumState) -> None:
         """Take up what `state` gave.
 
         Raises:
             RunError: It does not fit the stages of the scenario.
+            ValueError: It does not fit the worlds of the training.
         """
         names = [stage.name for stage in self.stages[self._skipped :][:-1]]
         if [stage.name for stage in state.ends] != names[: len(state.ends)]:
             raise RunError("the finished stages in the checkpoint do not match the scenario")
         self.completed = list(state.ends)
         self._begin(state.first_step)
-        self._recent.extend(state.recent)
+        self._recent.restore(state.recent, state.worlds)

@@ -7,10 +7,9 @@ import json
 import math
 import os
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from itertools import pairwise
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import Annotated, Any, TextIO
@@ -19,7 +18,7 @@ from pydantic import BaseModel, Field, NonNegativeInt
 
 from deepbots_cli.errors import RunError
 from deepbots_cli.files import unwritable_message
-from deepbots_cli.program.draws import is_of_member
+from deepbots_cli.learning.generations import Generations
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 
@@ -146,13 +145,22 @@ class StatisticsState(BaseModel, strict=True, allow_inf_nan=False):
     cpu_seconds: Annotated[float, Field(ge=0)]
     solved_at: SolvedAt | None
     recent: list[Episode]
+    worlds: list[NonNegativeInt] | None = None
+    """The world of each recent episode; versions before 0.2 did not keep it."""
+    present: NonNegativeInt | None = None
 
 
 class Statistics:
-    """Counts and moving means of a training, in order of completion over all rows of the environment."""
+    """Counts and moving means of a training. The means are over whole generations of its worlds.
 
-    def __init__(self, period: float, solved: Solved | None) -> None:
-        """`period` is the time that a step of the agent takes, in s."""
+    Args:
+        period: The time that a step of the agent takes, in s.
+        solved: What counts as solved.
+        worlds: The number of worlds.
+        copies: The number of copies of a robot in each world.
+    """
+
+    def __init__(self, period: float, solved: Solved | None, worlds: int = 1, copies: int = 1) -> None:
         self.period = period
         self.solved = solved
         self.steps = 0
@@ -160,7 +168,10 @@ class Statistics:
         self.cpu_seconds_before = 0.0
         self._began = time.process_time()
         self.solved_at: SolvedAt | None = None
-        self.recent: deque[Episode] = deque(maxlen=solved.episodes if solved else WINDOW_EPISODES)
+        self._window_episodes = solved.episodes if solved else WINDOW_EPISODES
+        self._window = Generations[Episode](self._window_episodes, worlds, copies)
+        self._present = 0
+        """The episodes of the present stage."""
 
     @property
     def next_episode(self) -> int:
@@ -176,54 +187,86 @@ class Statistics:
         """Of this training, without the start of Python, and with what it took before it was resumed."""
         return self.cpu_seconds_before + time.process_time() - self._began
 
+    def has_episodes(self, count: int) -> bool:
+        """Whether the present stage has so many episodes, or as many as the means are over if these are fewer."""
+        return self._present >= min(count, self._window_episodes)
+
     def newest(self, count: int) -> list[Episode] | None:
-        """The newest `count` episodes, or all recent ones if the means are over fewer; None while there are not so many."""
-        wanted = min(count, self.recent.maxlen or count)
-        return list(self.recent)[-wanted:] if len(self.recent) >= wanted else None
+        """The newest whole generations of at least `count` episodes; all recent ones if the means are over fewer.
+
+        None while there are not so many.
+        """
+        return self._window.newest(count)
 
     @property
     def mean_return(self) -> float | None:
-        return sum(e.total_return for e in self.recent) / len(self.recent) if self.recent else None
+        """None before each world has finished an episode."""
+        recent = self._window.whole
+        return sum(e.total_return for e in recent) / len(recent) if recent else None
 
     @property
     def success_rate(self) -> float | None:
-        return sum(e.is_success for e in self.recent) / len(self.recent) if self.recent else None
+        """None before each world has finished an episode."""
+        recent = self._window.whole
+        return sum(e.is_success for e in recent) / len(recent) if recent else None
 
     @property
     def mean_length(self) -> float:
-        """Of the recent episodes, in steps."""
-        return sum(e.length for e in self.recent) / max(1, len(self.recent))
+        """Of the recent episodes, in steps; also before each world has finished one."""
+        recent = self._window.whole or self._window.finished
+        return sum(e.length for e in recent) / max(1, len(recent))
 
     def term_means(self) -> dict[str, float]:
         """The mean per episode of every reward term, over the recent episodes."""
-        names = {name: None for e in self.recent for name in e.terms}
-        return {name: sum(e.terms.get(name, 0.0) for e in self.recent) / len(self.recent) for name in names}
+        recent = self._window.whole
+        names = {name: None for e in recent for name in e.terms}
+        return {name: sum(e.terms.get(name, 0.0) for e in recent) / len(recent) for name in names}
 
     def ended_by(self) -> dict[str, float]:
         """The share of the recent episodes that each ending ended."""
-        counts = Counter(e.ended_by or "unknown" for e in self.recent)
-        return {name: count / len(self.recent) for name, count in sorted(counts.items())}
+        recent = self._window.whole
+        counts = Counter(e.ended_by or "unknown" for e in recent)
+        return {name: count / len(recent) for name, count in sorted(counts.items())}
 
-    def add(self, episode: Episode, *, present: bool = True) -> None:
-        """Count an episode; one that is not of the present stage counts for the number only."""
+    def add(self, episode: Episode, world: int = 0, *, present: bool = True) -> None:
+        """Count an episode of a world; one that is not of the present stage counts for the number only."""
         self.episodes += 1
         if not present:
             return
-        self.recent.append(episode)
+        self._present += 1
+        self._window.add(episode, world)
+
+    def begin_anew(self) -> None:
+        """Forget the recent episodes, which say nothing about what follows."""
+        self._window.clear()
+        self._present = 0
 
     def note_solved(self, mean_return: float, success_rate: float) -> None:
         """A confirmation with this mean return and success rate has shown that the task is solved."""
         self.solved_at = SolvedAt(self.episodes, self.steps, self.simulated_hours, self.cpu_seconds, mean_return, success_rate)
 
     def state(self) -> StatisticsState:
+        recent, worlds = self._window.state()
         return StatisticsState(
-            steps=self.steps, episodes=self.episodes, cpu_seconds=self.cpu_seconds, solved_at=self.solved_at, recent=list(self.recent)
+            steps=self.steps,
+            episodes=self.episodes,
+            cpu_seconds=self.cpu_seconds,
+            solved_at=self.solved_at,
+            recent=recent,
+            worlds=worlds,
+            present=self._present,
         )
 
     def restore(self, state: StatisticsState) -> None:
+        """Take up what `state` gave.
+
+        Raises:
+            ValueError: It does not fit the worlds of the training.
+        """
         self.steps, self.episodes, self.solved_at = state.steps, state.episodes, state.solved_at
         self.cpu_seconds_before = state.cpu_seconds
-        self.recent.extend(state.recent)
+        self._present = len(state.recent) if state.present is None else state.present
+        self._window.restore(state.recent, state.worlds)
 
 
 def meets_solved(solved: Solved, mean_return: float, success_rate: float) -> bool:
@@ -234,6 +277,9 @@ def meets_solved(solved: Solved, mean_return: float, success_rate: float) -> boo
 
 
 # Of an evaluation
+
+SUCCESS_STATISTICS = ("successes", "success_rate", "success_interval")
+"""Fields of `Summary` that mean nothing where the scenario defines no success."""
 
 
 @dataclass(frozen=True)
@@ -293,49 +339,3 @@ class Summary:
     def meets_solved(self, solved: Solved | None) -> bool:
         """Whether these means count as solved; False where the scenario does not say what does."""
         return solved is not None and meets_solved(solved, self.mean_return, self.success_rate)
-
-
-@dataclass(frozen=True)
-class DrawnBin:
-    """The episodes in which a drawn value lies from `low` to `high` (both included); for a drawn name, both are this name.
-
-    The statistics are those of `Summary`.
-    """
-
-    low: float | str
-    high: float | str
-    episodes: int
-    mean_return: float
-    return_interval: Interval | None
-    successes: int
-    success_rate: float
-    success_interval: Interval
-
-
-MAX_OPTIONS, BINS = 6, 4
-"""A value with at most 6 different outcomes has a bin for each of them, any other value 4 bins with as many episodes each."""
-
-
-def by_drawn_value(done: Sequence[Episode], bounds: Interval = UNBOUNDED) -> dict[str, tuple[DrawnBin, ...]]:
-    """Success and return by each value that the episodes draw, by its place in the scenario.
-
-    Values that do not vary are left out, and so are those of single members of a group, which have no meaning of their own.
-    """
-    names = {name: None for episode in done for name in episode.drawn if not is_of_member(name)}
-    found = {name: _bins([episode for episode in done if name in episode.drawn], name, bounds) for name in names}
-    return {name: bins for name, bins in found.items() if len(bins) > 1}
-
-
-def _bins(done: Sequence[Episode], name: str, bounds: Interval) -> tuple[DrawnBin, ...]:
-    ordered = sorted(done, key=lambda episode: episode.drawn[name])
-    options = {episode.drawn[name] for episode in ordered}
-    if len(options) <= MAX_OPTIONS:
-        parts = [[episode for episode in ordered if episode.drawn[name] == option] for option in sorted(options)]
-    else:
-        edges = [len(ordered) * part // BINS for part in range(BINS + 1)]
-        parts = [ordered[first:end] for first, end in pairwise(edges)]
-    kept = [entry.name for entry in fields(DrawnBin)][2:]
-    found = [(part, Summary.of_episodes(part, bounds)) for part in parts if part]
-    return tuple(
-        DrawnBin(part[0].drawn[name], part[-1].drawn[name], **{key: getattr(summary, key) for key in kept}) for part, summary in found
-    )

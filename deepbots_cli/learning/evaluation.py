@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from itertools import chain, pairwise
@@ -21,8 +21,9 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import learner
 from deepbots_cli.learning.confirmation import error_level
+from deepbots_cli.learning.draws import DrawLabel, DrawnEffects, by_drawn_value, draw_labels
 from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch, supervisor_factory
-from deepbots_cli.learning.episodes import UNBOUNDED, DrawnBin, Summary, by_drawn_value
+from deepbots_cli.learning.episodes import UNBOUNDED, Summary
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.run import ModelName, Run, in_parentheses, remark_on_episodes
@@ -66,6 +67,7 @@ class EvaluationResult(Summary):
         return_bounds: Smallest and largest possible return of an episode, if deepbots can derive them from rewards and time limit.
             Confidence intervals are cut at them.
         outcomes: The episodes, in the order of their seeds.
+        draws: The labels of the values that the scenario draws, by name.
     """
 
     run: Path
@@ -91,6 +93,7 @@ class EvaluationResult(Summary):
     notes: tuple[str, ...]
     return_bounds: tuple[float | None, float | None]
     outcomes: tuple[Episode, ...] = field(repr=False)
+    draws: Mapping[str, DrawLabel] = field(repr=False)
 
     @property
     def possible_returns(self) -> tuple[float, float]:
@@ -104,9 +107,9 @@ class EvaluationResult(Summary):
         return (*self.circumstances, *remark_on_episodes(self.episodes, self.planned, self.required_episodes))
 
     @property
-    def by_drawn_value(self) -> dict[str, tuple[DrawnBin, ...]]:
-        """Success and return by drawn value: for each draw, by its path in the scenario, statistics in a few bins of its range."""
-        return by_drawn_value(self.outcomes, self.possible_returns)
+    def by_drawn_value(self) -> DrawnEffects:
+        """The effects of drawn values, and success and return in a few parts of the range of each."""
+        return by_drawn_value(self.outcomes, self.draws, self.possible_returns)
 
 
 def evaluate(
@@ -425,6 +428,7 @@ class _Setting:
             deterministic=deterministic,
             notes=tuple(notes),
             outcomes=tuple(done),
+            draws=draw_labels(program),
             return_bounds=(low if low > -math.inf else None, high if high < math.inf else None),
         )
 

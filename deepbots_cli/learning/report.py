@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from pydantic import BaseModel
 
+from deepbots_cli.learning.episodes import SUCCESS_STATISTICS
 from deepbots_cli.learning.order import Candidate, Measure
 from deepbots_cli.learning.run import TrainingResult
 from deepbots_cli.learning.spread import Watcher
@@ -32,12 +33,10 @@ def to_json(result: TrainingResult | EvaluationResult) -> dict[str, Any]:
     """
     if isinstance(result, BaseModel):
         return result.model_dump(mode="json")
-    data = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(result).items()}
-    drawn = {name: list(map(asdict, bins)) for name, bins in result.by_drawn_value.items()}
+    data = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(result).items() if key != "draws"}
     if not result.success_defined:
-        for statistics in (data, *(entry for bins in drawn.values() for entry in bins)):
-            statistics |= dict.fromkeys(("successes", "success_rate", "success_interval"))
-    return data | {"by_drawn_value": drawn}
+        data |= dict.fromkeys(SUCCESS_STATISTICS)
+    return data | {"by_drawn_value": result.by_drawn_value.as_json(success_defined=result.success_defined)}
 
 
 # The progress of a training

@@ -67,7 +67,7 @@ def make_worlds(
     plan: WorldPlan,
     *,
     on_step: Callable[[], None],
-    on_episode: Callable[[Episode, int, Mapping[str, Any]], None],
+    on_episode: Callable[[int, Episode, int, Mapping[str, Any]], None],
     next_episode: Callable[[], int],
     note: Callable[[str], None],
 ) -> Worlds:
@@ -75,7 +75,7 @@ def make_worlds(
 
     Args:
         on_step: Called after the step of each row.
-        on_episode: Called after each episode of a row, with its stage and the values that it drew.
+        on_episode: Called after each episode of a row, with the place of its world in the plan, its stage and the values that it drew.
         next_episode: Returns the number of the next episode of the training, for failures.
         note: Called with what the user should know.
     """
@@ -89,7 +89,7 @@ def make_worlds(
         return FailureRecorder(plan.build(scenario), run, scenario, episode=next_episode, stage=curriculum.name_of(stage))
 
     def end(world: int, episode: Episode) -> None:
-        on_episode(episode, stages[world], env.drawn[world])
+        on_episode(world, episode, stages[world], env.drawn[world])
 
     def next_seed(world: int) -> int | None:
         """Let a world enter the present stage; the seed that it begins there with, or None if it is there already."""
@@ -155,7 +155,7 @@ class Shard:
             self._stack,
             plan,
             on_step=lambda: None,
-            on_episode=lambda episode, stage, drawn: self._ended.append((stage, drawn)),
+            on_episode=lambda world, episode, stage, drawn: self._ended.append((stage, drawn)),
             next_episode=lambda: self._next_episode,
             note=self._notes.append,
         )

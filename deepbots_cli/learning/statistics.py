@@ -185,22 +185,23 @@ class Difference:
         return self.interval is not None and (self.interval[0] > 0 or self.interval[1] < 0)
 
 
-def compare_seeds(first: Sequence[float], second: Sequence[float], bounds: Interval = UNBOUNDED) -> Difference:
+def compare_seeds(first: Sequence[float], second: Sequence[float], bounds: Interval = UNBOUNDED, error: float = ALPHA) -> Difference:
     """Two groups of runs, by one score per seed: Welch's interval of the difference of their means (B. L. Welch, Biometrika 34, 1947).
 
     The interval is cut at the largest difference that the `bounds` of a score allow. The seeds of both groups are independent, also where
-    they have the same numbers: two trainings diverge after the first update.
+    they have the same numbers: two trainings diverge after the first update. `error` is the probability that the interval misses the
+    true difference.
     """
     mean = fmean(second) - fmean(first)
     improvement = probability_of_improvement(first, second)
     if min(len(first), len(second)) < 2:
         return Difference(mean, None, improvement)
     parts = [variance(group) / len(group) for group in (first, second)]
-    error = math.sqrt(sum(parts))
-    if error == 0:
+    standard_error = math.sqrt(sum(parts))
+    if standard_error == 0:
         return Difference(mean, (mean, mean), improvement)
     freedom = sum(parts) ** 2 / sum(part * part / (len(group) - 1) for part, group in zip(parts, (first, second), strict=True))
-    half = float(stdtrit(freedom, 1 - ALPHA / 2)) * error
+    half = float(stdtrit(freedom, 1 - error / 2)) * standard_error
     largest = bounds[1] - bounds[0]
     return Difference(mean, (max(mean - half, -largest), min(mean + half, largest)), improvement)
 

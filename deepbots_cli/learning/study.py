@@ -15,6 +15,7 @@ Importing this module loads neither Optuna nor torch.
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 import warnings
@@ -22,6 +23,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, TypeAdapter, ValidationError
@@ -36,6 +38,7 @@ from deepbots_cli.document.load import TUNE, setting_path
 from deepbots_cli.document.nodes import node_at
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, RunError, UsageError
 from deepbots_cli.learning.episodes import UNBOUNDED, Interval
+from deepbots_cli.learning.order import Measure, Rank, rank
 from deepbots_cli.learning.report import TrainingProgress
 from deepbots_cli.learning.run import (
     WORKERS_FOLDER,
@@ -51,6 +54,8 @@ from deepbots_cli.scenario.search import SearchSpace
 
 if TYPE_CHECKING:
     import optuna
+
+    from deepbots_cli.learning.statistics import Difference
 
 FORMAT = 1
 JOURNAL_NAME = "journal.log"
@@ -96,8 +101,12 @@ class StudyRecord(BaseModel):
         """The interval of the score of a trial over its seeds."""
         from deepbots_cli.learning.statistics import mean_interval  # which imports scipy
 
-        bounds = {"solved": (0.0, 2.0), "success_rate": (0.0, 1.0), "mean_return": UNBOUNDED}[self.objective]
-        return mean_interval([each.score for each in trial.seeds], bounds)
+        return mean_interval([each.score for each in trial.seeds], self.score_bounds)
+
+    @property
+    def score_bounds(self) -> Interval:
+        """The least and the greatest possible score."""
+        return {"solved": (0.0, 2.0), "success_rate": (0.0, 1.0), "mean_return": UNBOUNDED}[self.objective]
 
     def training_command(self, assignments: Sequence[str]) -> list[str]:
         """The command that trains a trial with these values, without a study."""
@@ -137,6 +146,33 @@ class StudyTrial:
     def assignments(self) -> list[str]:
         """The values as for `--set`."""
         return [f"{name}={text}" for name, text in self.values.items()]
+
+    @property
+    def success_rate(self) -> float | None:
+        """The mean over the seeds; None where no seed has one."""
+        return _mean([each.success_rate for each in self.seeds])
+
+    @property
+    def mean_return(self) -> float | None:
+        """The mean over the seeds that have a model."""
+        return _mean([each.mean_return for each in self.seeds])
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    present = [value for value in values if value is not None]
+    return fmean(present) if present else None
+
+
+@dataclass(frozen=True)
+class OverFirst:
+    """The best trial against the first one, which has the values of the scenario itself.
+
+    `difference` is that of the scores over the seeds. Its interval covers all complete trials together: the best of many
+    trials looks better than it is. `is_clear` holds where the interval shows that the best trial is better.
+    """
+
+    difference: Difference
+    is_clear: bool
 
 
 @dataclass(frozen=True)
@@ -313,9 +349,32 @@ class Study:
         return StudyTrial(frozen.number, self.trial_folder(frozen.number), state, values, found, seeds, reason)
 
     def ranked(self, trials: Sequence[StudyTrial]) -> list[StudyTrial]:
-        """The complete trials, the best first; of equals the earlier one."""
-        sign = 1 if self.record.lower_is_better else -1
-        return sorted((trial for trial in trials if trial.score is not None), key=lambda trial: (sign * (trial.score or 0), trial.number))
+        """The complete trials, the best first.
+
+        Of equal scores, such as those of trials without any success, the higher success rate comes first, then the higher
+        return; with the objective `mean_return`, in the other order. Of equals, the earlier trial comes first.
+        """
+        sign = -1 if self.record.lower_is_better else 1
+        measure: Measure = "mean_return" if self.record.objective == "mean_return" else "success_rate"
+
+        def quality(trial: StudyTrial) -> tuple[float, Rank, int]:
+            mean_return = -math.inf if trial.mean_return is None else trial.mean_return
+            return sign * (trial.score or 0.0), rank(measure, trial.success_rate, mean_return), -trial.number
+
+        return sorted((trial for trial in trials if trial.score is not None), key=quality, reverse=True)
+
+    def over_first(self, trials: Sequence[StudyTrial]) -> OverFirst | None:
+        """The best trial against the first one; None if it is the first one, or the first one has no score."""
+        from deepbots_cli.learning.statistics import ALPHA, compare_seeds  # which imports scipy
+
+        ranked = self.ranked(trials)
+        first = next((trial for trial in ranked if trial.number == 0 and self.record.present), None)
+        if first is None or ranked[0] is first:
+            return None
+        own, best = ([each.score for each in trial.seeds] for trial in (first, ranked[0]))
+        difference = compare_seeds(own, best, self.record.score_bounds, ALPHA / (len(ranked) - 1))
+        is_better = (difference.mean < 0) == self.record.lower_is_better
+        return OverFirst(difference, is_better and difference.certain)
 
 
 def create_study(

@@ -371,13 +371,16 @@ def run_training(
     A resumed run has its record of `before` in the end if nothing was learned.
     """
     began = time.perf_counter()
-    statistics, curriculum = Statistics(run.program.period, run.program.agent.solved), Curriculum(run.program, run.record.first_stage)
+    copies = run.program.agent.copies
+    worlds = training.environments, copies.count if copies else 1
+    statistics = Statistics(run.program.period, run.program.agent.solved, *worlds)
+    curriculum = Curriculum(run.program, run.record.first_stage, *worlds)
     if checkpoints.state is not None:
         with damage_explained(run, latest_checkpoint(run)):
             curriculum.restore(checkpoints.state.curriculum)
             if len(checkpoints.stages) != training.environments or max(checkpoints.stages) > curriculum.index:
                 raise ValueError(f"{len(checkpoints.stages)} worlds, in stage {max(checkpoints.stages, default=0)}")
-        statistics.restore(checkpoints.state.statistics)
+            statistics.restore(checkpoints.state.statistics)
     first_step = statistics.steps
     if before is not None:
         checkpoints.on_restored.append(run.update)
@@ -544,12 +547,14 @@ class TrainingCounter:
     def on_row(self) -> None:
         self._statistics.steps += 1
 
-    def on_episode(self, episode: Episode, stage: int, drawn: Mapping[str, Any]) -> None:
+    def on_episode(self, world: int, episode: Episode, stage: int, drawn: Mapping[str, Any]) -> None:
         statistics, curriculum = self._statistics, self._callback.curriculum
         is_present = stage == curriculum.index
-        statistics.add(episode, present=is_present)
+        statistics.add(episode, world, present=is_present)
         self._log.write(episode, statistics, curriculum.name_of(stage), drawn)
-        if is_present and not self._callback.is_taught and curriculum.add(episode, statistics.steps, statistics.episodes):
+        if not is_present or self._callback.is_taught:
+            return
+        if curriculum.add(episode, statistics.steps, statistics.episodes, world):
             self._callback.begin_stage()
 
     def on_answer(self, answer: Answer) -> None:

@@ -304,16 +304,21 @@ def score(objective: Objective, solved: Solved | None, mean_return: float, succe
     """The score of a training.
 
     That of the objective `solved` is at most 1 for a solved task: the fraction of the timesteps after which it was solved
-    (`solved_after`, None if it was not). For others it is 1 to 2, and grows with the distance from the required value: relative to this
-    value, a distance d adds d / (1 + d). So it compares any two trainings, and small values are good.
+    (`solved_after`, None if it was not). For others, it is 1 to 2, and grows with the distance d from the required value, relative to
+    this value: of a success rate, d / 2 is added, so that the mean over seeds follows their mean success rate; of a return, which has
+    no lower bound, d / (1 + d). Small values are good.
     """
     if objective != "solved" or solved is None:
         return mean_return if objective == "mean_return" else success_rate
     if solved_after is not None:
         return min(1.0, solved_after)
-    pairs = ((solved.mean_return, mean_return), (solved.success_rate, success_rate))
-    gap = max((max(0.0, required - reached) / (abs(required) or 1.0) for required, reached in pairs if required is not None), default=0.0)
-    return 1.0 + gap / (1.0 + gap)
+    added = 0.0
+    if solved.success_rate is not None:
+        added = max(0.0, solved.success_rate - success_rate) / (solved.success_rate or 1.0) / 2
+    if solved.mean_return is not None:
+        gap = max(0.0, solved.mean_return - mean_return) / (abs(solved.mean_return) or 1.0)
+        added = max(added, gap / (1.0 + gap))
+    return 1.0 + added
 
 
 class _Follower(Reporter):

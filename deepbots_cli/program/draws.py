@@ -12,7 +12,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
+from deepbots_cli.expressions.dimensions import LENGTH, NUMBER, Unit
+from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.scalar import Const, Draw, Scalar, is_drawn, names_in, walk
+from deepbots_cli.expressions.types import Invocation, written_unit
+from deepbots_cli.expressions.types import walk as walk_typed
 from deepbots_cli.program.resets import (
     Cells,
     ObjectGroup,
@@ -31,6 +35,9 @@ if TYPE_CHECKING:
     from deepbots_cli.program import Program
 
 _PLANE = ("x", "y")
+_METER = Unit("m", LENGTH)
+_FACTOR = Unit("(factor)", NUMBER)
+"""Of a number by which the scenario multiplies another one, as in `urdf * uniform(0.9 .. 1.1)`."""
 
 
 class EpisodeDraw(NamedTuple):
@@ -38,6 +45,8 @@ class EpisodeDraw(NamedTuple):
 
     `key` is the name under which the runtime notes it. `tree` computes a number; a position that is looked for lies from `low` to `high`;
     a word is one of `words`. With copies of a robot, the draw may be one for each copy. It may change within the episode.
+
+    `unit` is the unit in which the scenario writes a number; `is_parameter` holds for parameters of the scenario.
     """
 
     name: str
@@ -48,6 +57,8 @@ class EpisodeDraw(NamedTuple):
     high: float = math.inf
     is_of_copy: bool = False
     changes: bool = False
+    unit: Unit | None = None
+    is_parameter: bool = False
 
 
 def key_of_member(member: str, name: str) -> str:
@@ -61,6 +72,14 @@ _OF_MEMBER = re.compile(r"(?:reset\.place|reset\.layouts\.\w+|objects)\.\w+#\d+\
 def is_of_member(name: str) -> bool:
     """Whether a name is that of a draw for one member of a group, such as `reset.place.crate#2.x`."""
     return _OF_MEMBER.match(name) is not None
+
+
+_OF_COPY = re.compile(r"\w+#\d+\.")
+
+
+def without_copy(name: str) -> str:
+    """The name of a draw without the copy of a robot that it is for, such as `cart#2.`."""
+    return _OF_COPY.sub("", name, count=1) if _OF_COPY.match(name) else name
 
 
 def kind_key(body: str) -> str:
@@ -107,11 +126,13 @@ class EpisodeDraws:
         for value in self.program.parameters:
             if value.redraw is not None or _reads(value, changing):
                 changing.add(value.name)
-            changes = value.name in changing
-            yield from ((None, EpisodeDraw(full, full, tree, changes=changes)) for full, tree in value.numbers if is_drawn(tree))
+            parameter = EpisodeDraw("", "", changes=value.name in changing, unit=written_unit(value.typed), is_parameter=True)
+            yield from ((None, parameter._replace(name=full, key=full, tree=tree)) for full, tree in value.numbers if is_drawn(tree))
+        units = {name: written_unit(value.typed) for name, value in reset.expressions}
         for named in reset.drawn:
             body = None if named.name.startswith("reset.layouts.") else named.name.split(".")[2]
-            yield from ((body, EpisodeDraw(full, full, tree)) for full, tree in named.numbers if is_drawn(tree))
+            unit = units.get(named.name)
+            yield from ((body, EpisodeDraw(full, full, tree, unit=unit)) for full, tree in named.numbers if is_drawn(tree))
         for spec in self.program.robots:
             for route in (spec.to_route, spec.from_route):
                 lasting = (value for _, value in route.settings if value.redraw is None and not _reads(value, changing))
@@ -144,7 +165,14 @@ def _reads(value: Expression, names: set[str]) -> bool:
 def _draws(value: Expression, name: str | None = None) -> Iterator[EpisodeDraw]:
     """The draws in an expression, each under the name of the component that it is for."""
     components = value.per_component or value.components
-    return _named(numbers(name or value.owner, tuple(filter(None, components)), value.scalars))
+    units: dict[int | None, Unit] = {}
+    for call in walk_typed(value.typed):
+        if isinstance(call, Invocation) and FUNCTIONS[call.function].family is Family.DRAW:
+            is_factor = call.type.dimension == NUMBER != value.typed.type.dimension
+            units[call.occurrence] = _FACTOR if is_factor else written_unit(call)
+    for entry in _named(numbers(name or value.owner, tuple(filter(None, components)), value.scalars)):
+        occurrence = re.search(r"#(\d+)", entry.key.removeprefix(value.owner))
+        yield entry._replace(unit=units.get(int(occurrence[1])) if occurrence else None)
 
 
 def _named(trees: Iterator[tuple[str, Scalar]], member: str = "") -> Iterator[EpisodeDraw]:
@@ -181,7 +209,8 @@ def _places(path: str, place: Placement, group: ObjectGroup | None) -> Iterator[
             yield from _named(iter(trees), member)
         for axis, (low, high) in zip(_PLANE, bounds, strict=False):
             stream = f"{place.stream}.{axis}"
-            yield EpisodeDraw(f"{here}.{axis}", key_of_member(member, stream) if member else stream, low=low, high=high)
+            key = key_of_member(member, stream) if member else stream
+            yield EpisodeDraw(f"{here}.{axis}", key, low=low, high=high, unit=_METER)
 
 
 def _bounds(place: Placement, group: ObjectGroup | None) -> Sequence[tuple[float, float]]:

@@ -262,13 +262,34 @@ class Reset:
         Coordinates and joints are single numbers (m, rad), velocities of bodies have three components (m/s, rad/s).
         """
         groups = {group.name for group in self.groups}
-        arranged = (("reset.place", self.placements), *((f"reset.layouts.{layout.name}", layout.placements) for layout in self.layouts))
-        found = [entry for path, places in arranged for place in places if place.body not in groups for entry in place.drawn(path)]
+        found = [entry for path, place in self._arranged if place.body not in groups for entry in place.drawn(path)]
         for start in self.joint_starts:
             for joint, position, velocity in start.states:
                 path = f"reset.joints.{start.robot}.{joint}"
                 found += [NamedScalars(path, (), (position,)), NamedScalars(f"{path}.velocity", (), (velocity,))]
         yield from (entry for entry in found if any(map(is_drawn, entry.scalars)))
+
+    @property
+    def expressions(self) -> Iterator[tuple[str, Expression]]:
+        """The expressions of places and joints, by the names of `drawn`."""
+        for path, place in self._arranged:
+            velocities = {"velocity": place.velocity, "angular_velocity": place.angular_velocity}
+            for key, value in (*place.coordinates.items(), *velocities.items()):
+                if value is not None:
+                    yield f"{path}.{place.body}.{key}", value
+        for start in self.joint_starts:
+            for joint in start.joints:
+                path = f"reset.joints.{start.robot}.{joint}"
+                yield path, start.position
+                if start.velocity is not None:
+                    yield f"{path}.velocity", start.velocity
+
+    @property
+    def _arranged(self) -> Iterator[tuple[str, Placement]]:
+        """Each placement with the path of its section."""
+        yield from (("reset.place", place) for place in self.placements)
+        for layout in self.layouts:
+            yield from ((f"reset.layouts.{layout.name}", place) for place in layout.placements)
 
 
 @dataclass(frozen=True, eq=False)

@@ -578,7 +578,8 @@ class Evaluation:
 class Criterion:
     """When a stage of the curriculum ends: a mean reaches `threshold`, or `threshold` steps are taken.
 
-    The mean is over the last `episodes` training episodes of the stage; with None, over one evaluation.
+    The mean is over the last `episodes` training episodes of the stage, rounded up to equally many of each world; with None, over one
+    evaluation.
     """
 
     metric: Literal["success_rate", "mean_return", "steps"]

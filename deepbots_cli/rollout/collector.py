@@ -380,8 +380,8 @@ class ShardListener(Protocol):
     def on_row(self) -> None:
         """Called for each row of each step."""
 
-    def on_episode(self, episode: Episode, stage: int, drawn: Mapping[str, Any]) -> None:
-        """Called for each episode, in the order of steps and rows."""
+    def on_episode(self, world: int, episode: Episode, stage: int, drawn: Mapping[str, Any]) -> None:
+        """Called for each episode with the number of its world, in the order of steps and rows."""
 
     def on_answer(self, answer: Answer) -> None:
         """Called with each answer of a shard, before its episodes are counted."""
@@ -512,7 +512,7 @@ class ShardedCollector:
                 self._listener.on_row()
                 if upcoming is not None and (upcoming[0][0], upcoming[0][1].row) == (number, row):
                     (_, ending), (stage, drawn) = upcoming
-                    self._listener.on_episode(ending.episode, stage, drawn)
+                    self._listener.on_episode(row // self._width, ending.episode, stage, drawn)
                     here.append(ending)
                     upcoming = next(endings, None)
             self.starts = fragment.following_starts if is_last else fragment.starts[number + 1]

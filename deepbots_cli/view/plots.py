@@ -61,6 +61,7 @@ class TrainingLog:
     its digest, and whether a recording teaches; `settings` are the values that `--set` changed, and `name` is what its line is called.
 
     `stages` are those of a curriculum that have begun. A curve has a nan where one of them begins: the next stage is another task.
+    `model_steps` are the steps after which the model of `evaluation` was saved, None where this is not known.
     `evaluation_stages` are those in which the policy acted in `evaluations`, empty for none. `teacher` is that of `teacher_of`, and
     `lessons` are its curves: `agreement`, `weight` of the imitation loss, `driven_worlds` (their share), and its own `mean_return` and
     `success_rate`, of a script from the starts of the evaluations.
@@ -79,6 +80,7 @@ class TrainingLog:
     terms: dict[str, Curve] = field(default_factory=dict)
     endings: dict[str, Curve] = field(default_factory=dict)
     evaluation: EvaluationRecord | None = None
+    model_steps: float | None = None
     teacher: str | None = None
     lessons: dict[str, Curve] = field(default_factory=dict)
 
@@ -125,6 +127,9 @@ def _read_run(path: Path, window: int) -> TrainingLog:
     log.endings = {name: _averaged(episodes, share.astype(float), window, log.stages) for name, share in shares.items() if share.any()}
     if quoted := quoted_evaluation(path, record):
         log.evaluation = quoted[1]
+        best = record.result.best_model if record.result else None
+        steps = quoted[1].model_steps if quoted[1].model_steps is not None or best is None else best.steps
+        log.model_steps = None if steps is None else float(min(max(0, steps), log.returns[0][-1]))
     log.successes = _averaged(episodes, episodes.successes, window, log.stages) if episodes.successes.any() else None
     if evaluations:
         at = np.array([line["steps"] for line in evaluations])
@@ -389,13 +394,14 @@ def plot_evaluations(panel: Axes, logs: Sequence[TrainingLog], color: str, label
 
 
 def plot_evaluation(returns: Axes | None, successes: Axes | None, log: TrainingLog, color: str) -> None:
-    """A diamond at the end of the training, in the panel of returns and of success rates."""
+    """A diamond at the step of the evaluated model, in the panel of returns and of success rates."""
     found = log.evaluation
     if found is None or log.returns is None:
         return
+    step = log.returns[0][-1] if log.model_steps is None else log.model_steps
     for panel, value in ((returns, found.mean_return), (successes, found.success_rate if found.success_defined else None)):
         if panel is not None and value is not None:
-            panel.plot(log.returns[0][-1], value, "D", color=color, markersize=6, markeredgecolor="white", clip_on=False, zorder=3)
+            panel.plot(step, value, "D", color=color, markersize=6, markeredgecolor="white", clip_on=False, zorder=3)
 
 
 def plot_teacher(panel: Axes, logs: Sequence[TrainingLog], name: str, color: str, label: str) -> None:

@@ -14,7 +14,7 @@ from deepbots_cli.cli.records import case_rows, evaluation_text, summary_text
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.learning import TrainingResult, evaluate, evaluate_baselines, evaluate_cases, train
-from deepbots_cli.learning.episodes import Summary, by_drawn_value
+from deepbots_cli.learning.episodes import Summary
 from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.verdict import solved_verdict
 from deepbots_cli.program.task import Solved
@@ -180,26 +180,6 @@ def test_an_episode_keeps_the_seed_and_what_its_reset_drew(tmp_path: Path) -> No
         for episode in result.outcomes:
             assert env.reset(seed=episode.seed)[1]["drawn"] == episode.drawn != {}
     assert list(result.outcomes[0].drawn) == list(result.outcomes[1].drawn)
-
-
-def test_success_by_drawn_value_counts_every_episode_once() -> None:
-    done = [Episode(float(k), 1, k >= 50, None, seed=k, drawn={"mass": k / 100, "which": "ab"[k % 2], "same": 1.0}) for k in range(100)]
-    found = by_drawn_value(done)
-    assert list(found) == ["mass", "which"]
-    assert [(part.low, part.high, part.episodes, part.success_rate) for part in found["mass"]] == [
-        (0.0, 0.24, 25, 0.0),
-        (0.25, 0.49, 25, 0.0),
-        (0.5, 0.74, 25, 1.0),
-        (0.75, 0.99, 25, 1.0),
-    ]
-    assert [(part.low, part.high, part.episodes, part.successes) for part in found["which"]] == [("a", "a", 50, 25), ("b", "b", 50, 25)]
-    assert found["mass"][0].success_interval == Summary.of_episodes(done[:25]).success_interval
-
-
-def test_single_copies_of_a_group_are_left_out_of_the_drawn_values() -> None:
-    drawn = ("reset.layouts.scattered.crate#2.x", "objects.crate#1.one_of", "cart#1.reset.place.cart.x", "robots.dog.force#1.x")
-    done = [Episode(float(k), 1, k >= 50, None, seed=k, drawn=dict.fromkeys(drawn, k / 100)) for k in range(100)]
-    assert list(by_drawn_value(done)) == ["cart#1.reset.place.cart.x", "robots.dog.force#1.x"]
 
 
 def test_baselines_and_the_policy_have_the_same_starts(tmp_path: Path) -> None:

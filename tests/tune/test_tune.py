@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -124,7 +125,7 @@ def test_a_trial_is_a_group_and_a_study_is_listed_with_the_values_of_its_trials(
     assert (listed.state, listed.planned, len(listed.runs)) == ("finished", 2, 2)
     first = read_listed(whole.path / "trial-0")
     assert first.settings == ("train.learning_rate=0.001", "fall_angle=3 deg")
-    assert [run.evaluated_episodes for run in first.runs] == [5]  # as many as `solved` asks for
+    assert [run.evaluated_episodes for run in first.runs] == [5]
     assert [round(each.score, 9) for each in whole.trials()[0].seeds] == [
         round(score("solved", Solved(5, mean_return=195.0), run.mean_return or 0.0, 0.0, None), 9) for run in first.runs
     ]
@@ -174,7 +175,7 @@ def test_a_solved_training_scores_below_any_that_is_not_and_distance_counts() ->
     assert ordered[1] == 1.0 < ordered[2]
     assert ordered[3] == pytest.approx(1 + (95 / 195) / (1 + 95 / 195))
     assert ordered[4] < 2.0
-    assert score("solved", Solved(100, success_rate=0.5), 0.0, 0.25, None) == pytest.approx(1 + 0.5 / 1.5)
+    assert score("solved", Solved(100, success_rate=0.5), 0.0, 0.25, None) == pytest.approx(1.25)
 
 
 @pytest.mark.parametrize(
@@ -241,6 +242,73 @@ def test_a_damaged_journal_is_refused_in_one_sentence(file: Path, tmp_path: Path
         journal.write(damage + '{"op_code":4,"worker_id":"x","study_id":0}\n')
     with pytest.raises(UsageError, match=r"journal.log is damaged"):
         study.trials()
+
+
+def _told(file: Path, path: Path, *trials: Sequence[SeedScore]) -> Study:
+    """A study whose trials have these scores; nothing was trained."""
+    study = made(file, path, trials=len(trials), seeds=tuple(range(len(trials[0]))))
+    journal = study.connect()
+    for number, scores in enumerate(trials):
+        with next_trial(study, journal) as taken:
+            assert taken == number
+            end_trial(journal, number, TrialResult("complete", tuple(scores)))
+    return study
+
+
+def _seeds(scores: Sequence[float], mean_return: float = 0.0, success_rate: float = 0.0) -> list[SeedScore]:
+    return [SeedScore(seed, value, None, mean_return, success_rate) for seed, value in enumerate(scores)]
+
+
+def test_where_no_trial_has_a_success_the_higher_return_is_the_best_and_apply_is_not_advised(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trials = [_seeds([1.5] * 3, mean_return=value) for value in (10.0, 30.0, 20.0)]
+    study = _told(file, tmp_path / "study", *trials)
+    assert [trial.number for trial in study.ranked(study.trials())] == [1, 2, 0]
+    assert main(["tune", "--resume", str(study.path), "-q"]) == 0
+    text = "".join(capsys.readouterr())
+    assert "best: trial 1, score 1.5; 2 other trials have this score, and the success rate, then the return chose the best one" in text
+    assert "not clearly better than the values of the scenario itself (trial 0, score 1.5)" in text
+    assert "--apply" not in text
+
+
+def test_of_equal_scores_the_success_rate_comes_before_the_return(file: Path, tmp_path: Path) -> None:
+    study = _told(file, tmp_path / "study", _seeds([1.5], 90.0, 0.1), _seeds([1.5], 10.0, 0.2))
+    assert [trial.number for trial in study.ranked(study.trials())] == [1, 0]
+
+
+def test_unsolved_seeds_score_by_their_mean_success_rate() -> None:
+    solved = Solved(100, success_rate=0.9)
+    means = [sum(score("solved", solved, 0.0, rate, None) for rate in rates) / 2 for rates in ((0.0, 0.8), (0.4, 0.4), (0.3, 0.4))]
+    assert means[0] == pytest.approx(means[1])
+    assert means[2] > means[1]
+
+
+def test_apply_is_advised_where_the_best_trial_is_clearly_better_than_the_values_of_the_scenario(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = _told(file, tmp_path / "study", _seeds([0.9, 0.92, 0.88]), _seeds([0.3, 0.32, 0.28]))
+    assert main(["tune", "--resume", str(study.path), "-q"]) == 0
+    text = "".join(capsys.readouterr())
+    assert "it is clearly better than the values of the scenario itself (trial 0, score 0.9)" in text
+    assert "--apply" in text
+
+
+def test_the_luckiest_of_many_trials_is_not_clearly_better(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scores = [[0.8, 0.9, 0.7], *([0.6, 0.95, 0.8] for _ in range(18)), [0.7, 0.6, 0.5]]
+    study = _told(file, tmp_path / "study", *map(_seeds, scores))
+    assert main(["tune", "--resume", str(study.path), "-q", "--json"]) == 0
+    over_first = json.loads(capsys.readouterr().out)["over_first"]
+    assert over_first["is_clear"] is False
+    assert over_first["difference"]["mean"] == pytest.approx(-0.2)
+
+
+def test_a_trial_with_one_seed_is_never_clearly_better(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study = _told(file, tmp_path / "study", _seeds([0.9]), _seeds([0.1]))
+    assert main(["tune", "--resume", str(study.path), "-q"]) == 0
+    text = "".join(capsys.readouterr())
+    assert "one seed does not show it" in text
+    assert "--apply" not in text
 
 
 @pytest.fixture(scope="module")

@@ -276,6 +276,14 @@ def test_an_evaluation_after_the_training_is_a_diamond_and_dots_are_named_where_
     assert successes.lines[-1].get_xydata().tolist() == [[40, 0.5]]
 
 
+def test_the_diamond_stands_at_the_step_of_the_best_model_and_not_at_the_end(runs):
+    found = {"evaluated": "9", "model": "best", "seed": 0, "episodes": 9, "mean_return": 3.5, "return_interval": None,
+             "success_defined": True, "success_rate": 0.5, "success_interval": [0.1, 0.9], "solved": None, "model_steps": 17}  # fmt: skip
+    (runs / "a0" / "evaluations" / "0001.json").write_text(json.dumps(found))
+    figure = plots.plot(plots.read_logs([runs / "a0"]))
+    assert [panel.lines[-1].get_xydata().tolist() for panel in figure.axes[:2]] == [[[17, 3.5]], [[17, 0.5]]]
+
+
 def test_files_of_other_programs_are_plotted(tmp_path, capsys):
     folder = _events(tmp_path / "sb3", rollout__ep_rew_mean=[(0, 1.0), (100, 3.0)])
     for suffix in (".png", ".svg"):

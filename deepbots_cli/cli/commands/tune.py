@@ -113,8 +113,9 @@ def command(
     run at a time; the values of later trials then depend on which trials end first.
 
     The score of the objective `solved` is the fraction of the timesteps until the task is solved, the mean over the seeds; a seed that does
-    not solve it counts 1 to 2, by its distance from what `solved` requires. The best of many trials looks better than it is: confirm it
-    with seeds that the study did not use.
+    not solve it counts 1 to 2, by its distance from what `solved` requires. Of equal scores, the higher success rate comes first, then
+    the higher return. The best of many trials looks better than it is: the command says whether it is clearly better than the values of
+    the scenario itself, and advises --apply only then. Confirm it with seeds that the study did not use.
 
     Next: `deepbots report STUDY` shows the history, which values matter, and slices.
     """
@@ -273,8 +274,6 @@ def _result(trial: StudyTrial) -> str:
 
 def _row(study: Study, trial: StudyTrial) -> Row:
     solved = [each.steps for each in trial.seeds if each.steps is not None]
-    returns = [each.mean_return for each in trial.seeds if each.mean_return is not None]
-    rates = [each.success_rate for each in trial.seeds if each.success_rate is not None]
     return {
         "trial": trial.number,
         **trial.values,
@@ -282,8 +281,8 @@ def _row(study: Study, trial: StudyTrial) -> Row:
         "score_95 %": interval_text(study.record.score_interval(trial)),
         "solved": f"{len(solved)} of {len(trial.seeds)}",
         "steps": round(fmean(solved)) if solved else None,
-        "return": fmean(returns) if returns else None,
-        "success": f"{fmean(rates):.1%}" if rates else None,
+        "return": trial.mean_return,
+        "success": None if trial.success_rate is None else f"{trial.success_rate:.1%}",
     }
 
 
@@ -296,10 +295,9 @@ def _show(study: Study, *, done: bool, as_json: bool) -> None:
     summary = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
     lines = [f"study {study.path}: {summary or 'no trial'} of {study.record.trials} trials", *([table(rows)] if rows else [])]
     best = ranked[0] if ranked else None
-    if best is not None and best.score is not None:
-        first = next((trial for trial in ranked if trial.number == 0 and study.record.present), None)
-        own = f"; the values of the scenario itself: {first.score:.4g}" if first is not None and first.score is not None else ""
-        lines.append(f"best: trial {best.number}, score {best.score:.4g}{own}")
+    over_first = study.over_first(found)
+    if best is not None:
+        lines.append(_best_text(study, ranked))
     if done and counts["running"]:
         lines.append(f"another process still trains {counts['running']} of them; this table shows what is complete")
     data = {
@@ -307,18 +305,42 @@ def _show(study: Study, *, done: bool, as_json: bool) -> None:
         "objective": study.record.objective,
         "done": done,
         "best": best.number if best else None,
+        "over_first": over_first,
         "trials": [{**vars(trial), "score_interval": study.record.score_interval(trial)} for trial in found],
     }
     further = [f"deepbots report {path}", f"deepbots tune --resume {path} --trials {2 * study.record.trials}"]
     if not done:
         further = [f"deepbots tune --resume {path}"]
     elif best is not None:
-        further.insert(1, f"deepbots tune --resume {path} --apply")
+        if over_first is not None and over_first.is_clear:
+            further.insert(1, f"deepbots tune --resume {path} --apply")
         settings = " ".join(f"--set {quote(text)}" for text in (*study.record.set, *best.assignments))
         further.append(f"deepbots train {quote(study.record.source)} {settings} --seeds {_unused_seeds(study)}")
     terminal.show(data, *lines, as_json=as_json, next_commands=further)
     if not done:
         raise typer.Exit(INTERRUPTED)
+
+
+def _best_text(study: Study, ranked: Sequence[StudyTrial]) -> str:
+    """The best trial, those with its score, and whether it is clearly better than the values of the scenario itself."""
+    best, over_first = ranked[0], study.over_first(ranked)
+    text = f"best: trial {best.number}, score {best.score:.4g}"
+    if equals := sum(trial.score == best.score for trial in ranked) - 1:
+        measures = "the return" if study.record.objective == "mean_return" else "the success rate, then the return"
+        text += f"; {equals} other trial{'s have' if equals > 1 else ' has'} this score, and {measures} chose the best one"
+    if over_first is None:
+        is_first = best.number == 0 and study.record.present
+        return text + ("; it has the values of the scenario itself" if is_first else "")
+    difference, first = over_first.difference, next(trial for trial in ranked if trial.number == 0)
+    own = f"the values of the scenario itself (trial 0, score {first.score:.4g})"
+    if over_first.is_clear:
+        return f"{text}; it is clearly better than {own}"
+    if difference.interval is None:
+        why = "one seed does not show it"
+    else:
+        low, high = difference.interval
+        why = f"the interval of the difference, {low:.4g} .. {high:.4g} for {len(ranked)} trials, contains 0"
+    return f"{text}; it is not clearly better than {own}: {why}"
 
 
 def _apply(study: Study, name: str, permissions: Permissions, *, as_json: bool) -> None:
@@ -329,11 +351,15 @@ def _apply(study: Study, name: str, permissions: Permissions, *, as_json: bool) 
     """
     from deepbots_cli.cli.commands.rewriting import write_values  # which imports the rules of lint
 
-    best = next(iter(study.ranked(study.trials())), None)
+    trials = study.trials()
+    best = next(iter(study.ranked(trials)), None)
     if best is None:
         raise UsageError(f"{study.path} has no complete trial yet; continue it with: deepbots tune --resume {quote(str(study.path))}")
     file = write_values(name, best.values, f"tuned by {study.path.name}, trial {best.number}", permissions)
-    data = {"file": file, "trial": best.number, "score": best.score, "values": best.values}
+    over_first = study.over_first(trials)
+    if over_first is not None and not over_first.is_clear:
+        terminal.note(f"note: trial {best.number} is not clearly better than the values of the scenario itself")
+    data = {"file": file, "trial": best.number, "score": best.score, "values": best.values, "over_first": over_first}
     rows = [{"key": path, "value": text} for path, text in best.values.items()]
     further = [f"deepbots lint {quote(str(name))}", f"deepbots train {quote(str(name))} --seeds {_unused_seeds(study)}"]
     terminal.show(

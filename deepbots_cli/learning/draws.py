@@ -1,0 +1,316 @@
+"""The effect of drawn values on episodes: one test for a trend per value, corrected for the number of values.
+
+A scenario may draw dozens of values, and some of them differ between successes and failures by chance alone. Each value
+therefore has one test, and Holm's correction limits the probability that a value without an effect is named to `ALPHA`
+over all of them (S. Holm, Scand. J. Stat. 6, 1979). The tests find trends: a value that is best in its middle has none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepbots_cli.expressions.dimensions import ONE, Unit
+from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, UNBOUNDED, Interval, Summary
+from deepbots_cli.program import Program
+from deepbots_cli.program.draws import is_of_member, without_copy
+from deepbots_cli.rollout import Episode
+
+Outcome = Literal["success", "return"]
+Floats = NDArray[np.float64]
+
+MAX_OPTIONS, BINS = 6, 4
+"""A value with at most 6 different outcomes has a part for each of them, any other value 4 parts with as many episodes
+each."""
+POWER = 0.9
+"""The probability with which `DrawnEffects.detectable` is found."""
+_QUARTERS = 0.75 * math.sqrt(12)
+"""The difference of a linear trend between the means of the lowest and the highest quarter of a uniform value, in
+standard deviations of the outcome, over the coefficient of correlation."""
+
+
+@dataclass(frozen=True)
+class DrawnBin(Summary):
+    """The episodes in which a drawn value lies from `low` to `high`, both included, in SI units.
+
+    For a drawn word, `low` and `high` are this word.
+    """
+
+    low: float | str
+    high: float | str
+
+
+class DrawLabel(NamedTuple):
+    """The unit in which a scenario writes a drawn value, and whether the value is a parameter of the scenario."""
+
+    unit: Unit = ONE
+    is_parameter: bool = False
+
+    def range_text(self, part: DrawnBin) -> str:
+        """`6 .. 9 cm`: the range of a part in the unit of the scenario."""
+        if isinstance(part.low, str) or isinstance(part.high, str):
+            return str(part.low)
+        ends = dict.fromkeys(f"{self.unit.from_si(end):.4g}" for end in (part.low, part.high))
+        unit = "" if self.unit.text == ONE.text else f" {self.unit.text}"
+        return " .. ".join(ends) + unit
+
+
+def draw_labels(program: Program) -> dict[str, DrawLabel]:
+    """The label of each draw of a scenario, by its name without the copy of a robot."""
+    return {entry.name: DrawLabel(entry.unit or ONE, entry.is_parameter) for entry in program.draws.entries}
+
+
+@dataclass(frozen=True)
+class DrawnValue:
+    """A drawn value and the episodes by its parts.
+
+    `chance` is the probability of such a trend where no value has an effect, after the correction for all values.
+    `has_effect` holds where it is at most `ALPHA`.
+    """
+
+    name: str
+    label: DrawLabel
+    chance: float
+    has_effect: bool
+    parts: tuple[DrawnBin, ...]
+
+
+@dataclass(frozen=True)
+class DrawnEffects:
+    """The effects of all drawn values that vary.
+
+    Attributes:
+        outcome: What is tested: success where some of the episodes succeed, else the return.
+        starts: The number of different starts; episodes of several policies from one start count as one.
+        detectable: The effect that is found with a probability of `POWER`: the difference of the outcome between the
+            lowest and the highest quarter of a value. None where so few episodes show no possible effect.
+        is_constant: Whether all episodes have the same outcome.
+        values: The values by name: those with an effect first, then those without; in both, parameters of the scenario
+            first, the smallest `chance` first.
+    """
+
+    outcome: Outcome
+    starts: int
+    detectable: float | None
+    is_constant: bool
+    values: Mapping[str, DrawnValue]
+
+    @property
+    def effective(self) -> list[DrawnValue]:
+        """The values that have an effect."""
+        return [value for value in self.values.values() if value.has_effect]
+
+    @property
+    def conclusion(self) -> str:
+        """How many values have an effect, and which effect would have been found."""
+        count, total = len(self.effective), len(self.values)
+        many = f"the {total} drawn values" if total > 1 else "the drawn value"
+        if self.is_constant:
+            size = "all episodes have the same one"
+        elif self.detectable is None:
+            size = f"{self.starts:,} episodes are too few to find one"
+        else:
+            points = f"{100 * self.detectable:.0f} percentage points"
+            amount = points if self.outcome == "success" else f"{self.detectable:.3g} in the return"
+            size = (
+                f"with {self.starts:,} episodes, a difference of {amount} between the lowest and the highest quarter"
+                f" of a value is found with a probability of {POWER:.0%}"
+            )
+        verb = "has" if count == 1 else "have"
+        named = f"{count} of {many} {verb}" if count else f"none of {many} has"
+        if total == 1:
+            named = f"{many} has" if count else f"{many} does not have"
+        return f"{named} an effect on {'success' if self.outcome == 'success' else 'the return'} ({size})"
+
+    def as_json(self, *, success_defined: bool) -> dict[str, Any]:
+        """The fields, with the statistics of each part; those of success are None where no success is defined."""
+        hidden = () if success_defined else SUCCESS_STATISTICS
+        values = {
+            name: {
+                "parameter": value.label.is_parameter,
+                "unit": value.label.unit.text,
+                "chance": value.chance,
+                "has_effect": value.has_effect,
+                "parts": [{**vars(part), **dict.fromkeys(hidden)} for part in value.parts],
+            }
+            for name, value in self.values.items()
+        }
+        return {
+            "outcome": self.outcome,
+            "starts": self.starts,
+            "detectable": self.detectable,
+            "values": values,
+        }
+
+
+def by_drawn_value(
+    done: Sequence[Episode],
+    labels: Mapping[str, DrawLabel] | None = None,
+    bounds: Interval = UNBOUNDED,
+) -> DrawnEffects:
+    """The effect of each value that the episodes draw, by its place in the scenario.
+
+    Left out are values that do not vary, and values of single members of a group, which have no meaning of their own.
+
+    Args:
+        done: The episodes.
+        labels: The labels of the draws.
+        bounds: The possible returns.
+    """
+    from scipy.special import ndtri  # here: commands that only read runs work without scipy
+
+    from deepbots_cli.learning.statistics import ALPHA
+
+    outcome: Outcome = "success" if len({episode.is_success for episode in done}) == 2 else "return"
+    names = {name: None for episode in done for name in episode.drawn if not is_of_member(name)}
+    chances: dict[str, float] = {}
+    parts: dict[str, tuple[DrawnBin, ...]] = {}
+    for name in names:
+        drawing = [episode for episode in done if name in episode.drawn]
+        if _is_ordered([episode.drawn[name] for episode in drawing]):
+            found = _parts(drawing, name, bounds)
+            if len(found) > 1:
+                starts, results = _by_start(drawing, outcome)
+                parts[name], chances[name] = found, _chance([start.drawn[name] for start in starts], results)
+    corrected = _holm(chances)
+    values = [
+        DrawnValue(name, (labels or {}).get(without_copy(name), DrawLabel()), chance, chance <= ALPHA, parts[name])
+        for name, chance in corrected.items()
+    ]
+    values.sort(key=lambda value: (not value.has_effect, not value.label.is_parameter, value.chance))
+    _, results = _by_start(done, outcome)
+    detectable = None
+    if values and len(results) > 1:
+        needed = float(ndtri(1 - ALPHA / (2 * len(values))) + ndtri(POWER)) / math.sqrt(len(results) - 1)
+        detectable = _detectable(needed, results, outcome)
+    is_constant = bool(len(results)) and float(np.ptp(results)) == 0
+    return DrawnEffects(outcome, len(results), detectable, is_constant, {value.name: value for value in values})
+
+
+def _is_ordered(drawn: Sequence[object]) -> bool:
+    """Whether all are words, or all are finite numbers."""
+    is_number = [isinstance(value, int | float) and math.isfinite(value) for value in drawn]
+    return all(is_number) or all(isinstance(value, str) for value in drawn)
+
+
+def _parts(done: Sequence[Episode], name: str, bounds: Interval) -> tuple[DrawnBin, ...]:
+    ordered = sorted(done, key=lambda episode: episode.drawn[name])
+    options = sorted({episode.drawn[name] for episode in ordered})
+    if len(options) <= MAX_OPTIONS:
+        parts = [[episode for episode in ordered if episode.drawn[name] == option] for option in options]
+    else:
+        edges = [len(ordered) * part // BINS for part in range(BINS + 1)]
+        parts = [ordered[first:end] for first, end in pairwise(edges)]
+    return tuple(
+        DrawnBin(
+            **vars(Summary.of_episodes(part, bounds)),
+            low=part[0].drawn[name],
+            high=part[-1].drawn[name],
+        )
+        for part in parts
+        if part
+    )
+
+
+# The test
+
+
+def _by_start(done: Sequence[Episode], outcome: Outcome) -> tuple[list[Episode], Floats]:
+    """An episode of each start, and the mean outcome of each start.
+
+    Several policies that begin with the same start are no independent observations of its difficulty.
+    """
+    groups: dict[tuple[str, int], list[Episode]] = {}
+    for number, episode in enumerate(done):
+        key = ("number", number) if episode.seed is None else ("seed", episode.seed)
+        groups.setdefault(key, []).append(episode)
+    values = [
+        sum(episode.is_success if outcome == "success" else episode.total_return for episode in group) / len(group)
+        for group in groups.values()
+    ]
+    return [group[0] for group in groups.values()], np.array(values, float)
+
+
+def _chance(drawn: Sequence[float | str], results: Floats) -> float:
+    """The two-sided probability of a trend at least as strong where the value has no effect.
+
+    The outcome, or its rank where it has more than two values, is compared with the rank of the value: for success, this
+    is the test of Wilcoxon, Mann and Whitney; for returns, it is Spearman's. Words have no order: each of them is
+    compared with all others, with Bonferroni's correction.
+    """
+    ranks = results if len(set(results.tolist())) <= 2 else _ranks(results)
+    words = sorted({value for value in drawn if isinstance(value, str)})
+    if not words:
+        return _association(_ranks(np.array(drawn, float)), ranks)
+    compared = words if len(words) > 2 else words[:1]
+    indicators = (np.array([value == word for value in drawn], float) for word in compared)
+    return min(1.0, len(compared) * min(_association(indicator, ranks) for indicator in indicators))
+
+
+def _ranks(values: Floats) -> Floats:
+    """The rank of each value; equal values have their mean rank."""
+    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
+    means: Floats = np.cumsum(counts) - (counts - 1) / 2
+    return means[inverse]
+
+
+def _association(first: Floats, second: Floats) -> float:
+    """The two-sided probability that the sum of products is at least as far from its mean under random pairing.
+
+    The distribution over all pairings has a known variance and skewness, and is taken as Pearson's of type III; the
+    normal distribution takes a rare value that meets two rare failures for certain evidence. Where both have two values
+    only, Fisher's test is exact.
+    """
+    from scipy.special import gammainc, gammaincc, ndtr
+
+    if max(len(set(values.tolist())) for values in (first, second)) == 2:
+        return _exact_association(first == first.max(), second == second.max())
+    count, a, b = len(first), first - first.mean(), second - second.mean()
+    variance = float((a**2).sum() * (b**2).sum()) / max(1, count - 1)
+    if count < 3 or variance <= 0:
+        return 1.0
+    z = abs(float(a @ b)) / math.sqrt(variance)
+    third = count / ((count - 1) * (count - 2)) * float((a**3).sum() * (b**3).sum())
+    skewness = abs(third) / variance**1.5
+    if skewness < 1e-3:
+        return float(2 * ndtr(-z))
+    shape = 4 / skewness**2
+    far, near = (max(0.0, shape + side * z * math.sqrt(shape)) for side in (1, -1))
+    return min(1.0, float(gammaincc(shape, far) + gammainc(shape, near)))  # the long tail and the short one
+
+
+def _exact_association(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
+    """Fisher's test: the probability of all tables that are no more probable than this one, given their margins."""
+    from scipy.special import gammaln
+
+    count, ones, chosen = len(first), int(first.sum()), int(second.sum())
+    both = np.arange(max(0, ones + chosen - count), min(ones, chosen) + 1)
+    cells = (both, ones - both, chosen - both, count - ones - chosen + both)
+    logs = -sum(gammaln(cell + 1) for cell in cells)
+    weights = np.exp(logs - logs.max())
+    own = weights[int((first & second).sum()) - both[0]]
+    return float(weights[weights <= own * (1 + 1e-7)].sum() / weights.sum())
+
+
+def _holm(chances: Mapping[str, float]) -> dict[str, float]:
+    """The probabilities after Holm's correction, by name, the smallest first."""
+    corrected: dict[str, float] = {}
+    largest = 0.0
+    for place, name in enumerate(sorted(chances, key=lambda name: chances[name])):
+        largest = max(largest, min(1.0, chances[name] * (len(chances) - place)))
+        corrected[name] = largest
+    return corrected
+
+
+def _detectable(correlation: float, results: Floats, outcome: Outcome) -> float | None:
+    """The difference between the outer quarters of a value with this coefficient of correlation, if it is possible."""
+    difference = _QUARTERS * correlation * float(results.std())
+    rate = float(results.mean())
+    largest = min(1.0, 4 * min(rate, 1 - rate)) if outcome == "success" else math.inf  # all failures in one quarter
+    return difference if correlation < 1 and 0 < difference <= largest else None
