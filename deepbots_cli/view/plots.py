@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import textwrap
 from collections import Counter
@@ -16,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
-from deepbots_cli.files import read_at_most
-from deepbots_cli.learning.episodes import read_log
+from deepbots_cli.learning.episodes import read_evaluations, read_log
 from deepbots_cli.learning.listing import teacher_of
 from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, EvaluationRecord, RunRecord, changed_settings, run_folders, short_settings
 from deepbots_cli.learning.verdict import quoted_evaluation
@@ -32,7 +30,6 @@ SUFFIXES = (".png", ".svg")
 _MAX_CURVE_POINTS = 200  # of a curve
 _MAX_COLORED_ENDINGS = 20  # that have a color of their own
 _MAX_STAGES = 100  # that are marked
-_MAX_LOG_BYTES = 1 << 28  # of a log
 _LINE_STYLES = ("-", "--", "-.", ":")
 _MARKS = ("o", "s", "^", "v", "P", "X")
 _PANEL_WIDTH, _LETTER_WIDTH = 4.3, 0.068  # inches: of a panel, and of a letter in its legend
@@ -175,31 +172,16 @@ def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
     Raises:
         RunError: A file is no regular file, too large, or damaged.
     """
-    rows, text = read_log(run / "monitor.csv"), _text(run / "evaluations" / "training.jsonl")
+    rows, evaluations = read_log(run / "monitor.csv"), read_evaluations(run)
     names = ("steps", "r", "l", "is_success")
-    evaluations: list[dict[str, Any]] = []
     try:
         texts = ("ended_by", "stage", "drawn")
         found = [(*(float(row[name]) for name in names), *(row.get(name) or "" for name in texts)) for row in rows]
-        for line in map(json.loads, text[: text.rfind("\n") + 1].splitlines()):
-            lists = {name: [float(value) for value in line[name]] for name in ("returns", "successes")}
-            evaluations.append({"steps": float(line["steps"]), "stage": str(line.get("stage") or ""), **lists})
-        ends = [*(each[0] for each in found), *(each["steps"] for each in evaluations)]
-        means = [fmean(each[name]) for each in evaluations for name in ("returns", "successes")]  # an error without an episode
-        if not all(map(math.isfinite, [*ends, *means, *(number for each in found for number in each[1:4])])) or min(ends, default=0) < 0:
+        if not all(math.isfinite(number) for each in found for number in each[:4]) or any(each[0] < 0 for each in found):
             raise ValueError("a number is not finite, or a step is negative")
-    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise RunError(f"{run} is damaged: one of its logs cannot be read") from error
     return np.array(found, _EPISODE_COLUMNS).view(np.recarray), evaluations
-
-
-def _text(path: Path) -> str:
-    if path.is_symlink() or (path.exists() and not path.is_file()):  # opening a pipe waits for ever
-        raise RunError(f"{path} is not a regular file")
-    text = read_at_most(path, _MAX_LOG_BYTES + 1).decode(errors="replace") if path.exists() else ""
-    if len(text) > _MAX_LOG_BYTES:
-        raise RunError(f"{path} is larger than {_MAX_LOG_BYTES >> 20} MiB")
-    return text
 
 
 def scalars_of(path: Path) -> dict[str, Curve]:

@@ -1,0 +1,169 @@
+"""Whether a training fell apart: its last held-out evaluations are worse than earlier ones by more than chance.
+
+The evaluations of a training have 20 fixed starts each. Those of the last quarter of the present stage, at least two, are
+compared with every earlier window of one or three evaluations in a row. A window shows a decline if three things hold:
+
+- Its episodes are better than the last ones by more than chance: with Fisher's exact test of two proportions where the
+  task asks for success, with Welch's test of two means otherwise. The best of many windows looks better than it is, so
+  the level of each test is `FALSE_ALARMS` divided by the number of windows (Bonferroni's inequality).
+- The difference is at least `MIN_EFFECT`: points of the success rate, or a share of the range of returns since then. It
+  is also at least `MIN_SHARE` of the range of all returns, so that small differences between perfect returns do not count.
+- The very last evaluation is lower by this difference too, so that the training has not recovered.
+
+`tests/learning/test_decline.py` measures how often healthy trainings raise a false alarm. Nothing is compiled, and neither
+numpy nor torch is imported.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import NormalDist, fmean, variance
+from typing import Any
+
+from deepbots_cli.learning.episodes import read_evaluations
+from deepbots_cli.learning.order import Measure
+from deepbots_cli.learning.run import RunRecord
+
+FALSE_ALARMS = 0.01
+"""The largest probability that a training whose policy stays the same is said to decline."""
+MIN_EFFECT = 0.1
+MIN_SHARE = 0.02
+LAST_SHARE = 0.25
+"""The part of the present stage whose evaluations are compared with earlier ones."""
+_WINDOWS = (1, 3)
+_MIN_LAST = 2
+
+
+@dataclass(frozen=True)
+class Decline:
+    """By how much a training got worse, and since when.
+
+    Attributes:
+        measure: What the task asks for, of which the values are.
+        best_value: The value of the best window, a mean over its episodes.
+        best_steps: Steps of the training at the best evaluation in this window.
+        last_value: The value in the last quarter.
+        since_steps: Steps at the first of the worse evaluations: the split into two means with the smallest squared error.
+        best_episodes: Episodes of `best_value`, as `last_episodes` of `last_value`.
+    """
+
+    measure: Measure
+    best_value: float
+    best_steps: int
+    last_value: float
+    since_steps: int
+    best_episodes: int
+    last_episodes: int
+
+    @property
+    def text(self) -> str:
+        """A sentence: what fell, from where to where, and when; without a full stop."""
+        name = "success rate" if self.measure == "success_rate" else "mean return"
+        best, last = (f"{value:.0%}" if self.measure == "success_rate" else f"{value:.4g}" for value in self._values)
+        return (
+            f"the training fell apart: the {name} of its evaluations fell from {best} at {self.best_steps:,} steps to {last}"
+            f" in the last quarter ({self.last_episodes:,} episodes), after about {self.since_steps:,} steps"
+        )
+
+    @property
+    def _values(self) -> tuple[float, float]:
+        return self.best_value, self.last_value
+
+
+def decline_of(run: Path, record: RunRecord) -> Decline | None:
+    """The decline of a training from the files of its run, also while it trains; None where it has none.
+
+    Raises:
+        RunError: Its evaluations cannot be read.
+    """
+    best = record.result.best_model if record.result is not None else None
+    return None if best is None else decline(read_evaluations(run), best.measure)
+
+
+def decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decline | None:
+    """By how much a training got worse in its present stage; None where it did not, or by no more than chance.
+
+    Args:
+        evaluations: Those of `read_evaluations`, in order. Entries without `steps` are not of the training.
+        measure: What the task asks for.
+    """
+    own = [each for each in evaluations if "steps" in each]
+    stages = [each["stage"] for each in own]
+    first = next((place + 1 for place in reversed(range(len(own))) if stages[place] != stages[-1]), 0)
+    begin, own = (own[first - 1]["steps"] if first else 0.0), own[first:]
+    if len(own) <= _MIN_LAST:
+        return None
+    border = own[-1]["steps"] - LAST_SHARE * (own[-1]["steps"] - begin)
+    split = min(len(own) - _MIN_LAST, next(place for place, each in enumerate(own) if each["steps"] > border))
+    name = "successes" if measure == "success_rate" else "returns"
+    scores = [list(map(float, each[name])) for each in own]
+    last = [score for episodes in scores[split:] for score in episodes]
+    spread = 1.0 if name == "successes" else _range(scores)
+    windows = [(place, size) for size in _WINDOWS for place in range(split - size + 1)]
+    shown: list[tuple[float, int, int]] = []
+    for place, size in windows:
+        window = [score for episodes in scores[place : place + size] for score in episodes]
+        since = 1.0 if name == "successes" else _range(scores[place:])
+        effect = max(MIN_EFFECT * since, MIN_SHARE * spread)
+        if fmean(window) - max(fmean(last), fmean(scores[-1])) < effect or effect <= 0:
+            continue
+        test = fisher if name == "successes" else welch
+        shown.append((test(window, last), -size, -place))
+    if not shown or min(shown)[0] * len(windows) > FALSE_ALARMS:
+        return None
+    _, size, place = min(shown)
+    place, size = -place, -size
+    means = list(map(fmean, scores))
+    best = max(range(place, place + size), key=lambda number: (means[number], number))
+    since = _change(means[best:]) + best
+    window = [score for episodes in scores[place : place + size] for score in episodes]
+    return Decline(
+        measure=measure,
+        best_value=fmean(window),
+        best_steps=int(own[best]["steps"]),
+        last_value=fmean(last),
+        since_steps=int(own[since]["steps"]),
+        best_episodes=len(window),
+        last_episodes=len(last),
+    )
+
+
+def _range(scores: Sequence[Sequence[float]]) -> float:
+    return max(map(max, scores)) - min(map(min, scores))
+
+
+def _change(means: Sequence[float]) -> int:
+    """The place from 1 at which two means, before and from there on, leave the smallest squared error."""
+
+    def error(place: int) -> float:
+        parts = (means[:place], means[place:])
+        return sum((value - fmean(part)) ** 2 for part in parts for value in part)
+
+    return min(range(1, len(means)), key=error)
+
+
+def fisher(better: Sequence[float], worse: Sequence[float]) -> float:
+    """The one-sided p-value that the rate of `better` is not higher: so many of all successes fall to it, or more (R. A. Fisher, 1935)."""
+    successes, count, total = round(sum(better) + sum(worse)), len(better), len(better) + len(worse)
+    ways = math.comb(total, successes)
+    least, most = round(sum(better)), min(successes, count)
+    return sum(math.comb(count, k) * math.comb(total - count, successes - k) for k in range(least, most + 1)) / ways
+
+
+def welch(better: Sequence[float], worse: Sequence[float]) -> float:
+    """The one-sided p-value that the mean of `better` is not higher (B. L. Welch, Biometrika 34, 1947).
+
+    Student's t is transformed to a normal variable, which is right to 1 % of the p-value and needs no scipy (D. L. Wallace,
+    Ann. Math. Stat. 30, 1959, p. 1124).
+    """
+    parts = [variance(group) / len(group) for group in (better, worse)]
+    difference = fmean(better) - fmean(worse)
+    if sum(parts) <= 0:
+        return 0.0 if difference > 0 else 1.0
+    freedom = sum(parts) ** 2 / sum(part**2 / (len(group) - 1) for part, group in zip(parts, (better, worse), strict=True))
+    scale = (8 * freedom + 1) / (8 * freedom + 3)
+    z = math.copysign(scale * math.sqrt(freedom * math.log1p(difference**2 / sum(parts) / freedom)), difference)
+    return NormalDist().cdf(-z)
