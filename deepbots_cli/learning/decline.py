@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import NormalDist, fmean, variance
 from typing import Any
@@ -58,19 +58,19 @@ class Decline:
     best_episodes: int
     last_episodes: int
 
+    def as_json(self) -> dict[str, Any]:
+        """The attributes, and the sentence."""
+        return {**asdict(self), "text": self.text}
+
     @property
     def text(self) -> str:
         """A sentence: what fell, from where to where, and when; without a full stop."""
         name = "success rate" if self.measure == "success_rate" else "mean return"
-        best, last = (f"{value:.0%}" if self.measure == "success_rate" else f"{value:.4g}" for value in self._values)
+        best, last = map("{:.0%}".format if self.measure == "success_rate" else "{:.4g}".format, (self.best_value, self.last_value))
         return (
             f"the training fell apart: the {name} of its evaluations fell from {best} at {self.best_steps:,} steps to {last}"
             f" in the last quarter ({self.last_episodes:,} episodes), after about {self.since_steps:,} steps"
         )
-
-    @property
-    def _values(self) -> tuple[float, float]:
-        return self.best_value, self.last_value
 
 
 def decline_of(run: Path, record: RunRecord) -> Decline | None:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
+from deepbots_cli.learning.decline import Decline, decline_of
 from deepbots_cli.learning.episodes import read_evaluations, read_log
 from deepbots_cli.learning.listing import teacher_of
 from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, EvaluationRecord, RunRecord, changed_settings, run_folders, short_settings
@@ -78,6 +79,7 @@ class TrainingLog:
     evaluation: EvaluationRecord | None = None
     teacher: str | None = None
     lessons: dict[str, Curve] = field(default_factory=dict)
+    decline: Decline | None = None
 
 
 def read_logs(paths: Sequence[str | Path], window: int = 100) -> list[TrainingLog]:
@@ -128,6 +130,7 @@ def _read_run(path: Path, window: int) -> TrainingLog:
         means, rates = (np.array([fmean(line[name]) for line in evaluations]) for name in ("returns", "successes"))
         log.evaluations, log.evaluated_successes = (at, means), (at, rates)
         log.evaluation_stages = [line["stage"] for line in evaluations]
+    log.decline = decline_of(path, record)
     scalars = scalars_of(path / "tensorboard")
     finite = {tag: (at[np.isfinite(values)], values[np.isfinite(values)]) for tag, (at, values) in scalars.items()}
     found = {tag: _with_breaks(curve, log.stages) for tag, curve in finite.items() if len(curve[0])}
@@ -303,6 +306,7 @@ def _plot_group(returns: Axes, successes: Axes, members: Sequence[TrainingLog], 
     plot_evaluations(successes, members, color, successes=True)
     for log in members:
         plot_evaluation(returns, successes, log, color)
+        plot_decline(returns, successes, log)
     script = f"teacher {members[0].teacher}" if is_only else f"{name}: teacher {members[0].teacher}"
     plot_teacher(returns, members, "mean_return", color, script)
     plot_teacher(successes, members, "success_rate", color, script)
@@ -378,6 +382,29 @@ def plot_evaluation(returns: Axes | None, successes: Axes | None, log: TrainingL
     for panel, value in ((returns, found.mean_return), (successes, found.success_rate if found.success_defined else None)):
         if panel is not None and value is not None:
             panel.plot(log.returns[0][-1], value, "D", color=color, markersize=6, markeredgecolor="white", clip_on=False, zorder=3)
+
+
+DECLINE_COLOR = "#c0392b"
+
+
+def plot_decline(returns: Axes | None, successes: Axes | None, log: TrainingLog) -> None:
+    """Where a training fell apart: a line at the fall, and how far it fell, in the panel of the measure of the task."""
+    fall = log.decline
+    panel = successes if fall is not None and fall.measure == "success_rate" else returns
+    if fall is None or panel is None:
+        return
+    is_rate = fall.measure == "success_rate"
+    best, last = (f"{value:.0%}" if is_rate else f"{value:.4g}" for value in (fall.best_value, fall.last_value))
+    panel.axvline(fall.since_steps, color=DECLINE_COLOR, linewidth=1.2, linestyle="--")
+    panel.annotate(
+        f"fell apart: {best} to {last}",
+        (fall.since_steps, 0.03),
+        (3, 0),
+        xycoords=("data", "axes fraction"),
+        textcoords="offset points",
+        fontsize=7,
+        color=DECLINE_COLOR,
+    ).set_in_layout(False)
 
 
 def plot_teacher(panel: Axes, logs: Sequence[TrainingLog], name: str, color: str, label: str) -> None:

@@ -83,6 +83,9 @@ def command(
                 terminal.note(f"{run.path.name}: {run.problem}")
             if run.chosen_by == "return":
                 terminal.note(f"{run.path.name}: a version before 0.2 chose its best model by return; `deepbots eval --keep` chooses anew")
+            for inner in (run, *run.runs):
+                if inner.decline is not None:
+                    terminal.note(f"{inner.path.name}: {inner.decline.text}")
             if run.remarks:
                 terminal.note(f"{run.path.name}: about its evaluation: {'; '.join(run.remarks)}")
     elif scenario is not None or solved or live:
@@ -92,7 +95,8 @@ def command(
 
 
 def _data(run: ListedRun) -> dict[str, Any]:
-    return {**vars(run), "name": run.path.name, "runs": [_data(inner) for inner in run.runs]}
+    fall = None if run.decline is None else run.decline.as_json()
+    return {**vars(run), "name": run.path.name, "decline": fall, "runs": [_data(inner) for inner in run.runs]}
 
 
 def _row(run: ListedRun, *, with_file: bool = False) -> Row:
@@ -138,6 +142,7 @@ def _show_run(folder: Path, *, as_json: bool) -> None:
     tables = [f"run {folder}\n{table([_row(run)])}", *([f"\nevaluations\n{table(rows)}"] if rows else [])]
     terminal.show({**_data(run), "evaluations": data}, *tables, as_json=as_json)
     notes = [run.problem] if run.problem is not None else []
+    notes += [] if run.decline is None else [run.decline.text]
     notes += [] if rows else [f"there is no evaluation yet; next: deepbots eval {folder}"]
     notes += [f"evaluation {number}: {one}" for number, one in kept if isinstance(one, str)]
     for note in () if as_json else notes:
