@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from deepbots_cli.insight.statements import Numbers, Percentage
+from deepbots_cli.insight.statements import Numbers
 from deepbots_cli.insight.training import TrainingEvidence, usual_settings
 from deepbots_cli.learning.decline import Decline
 from deepbots_cli.program.task import Schedule

@@ -329,13 +329,14 @@ class Report:
         run = self.runs[0].run
         _, found = lint_findings(run)
         clips = {label: self.clips[label] for label in EPISODE_LABELS if label in self.clips}
+        notes = [*self.notes, *self.declines, *(note for member in self.runs for note in member.run.notes())]
         return render_template(
             "report.html.j2", html=True, report=self, program=run.program, record=run.record, figures=drawn, findings=found, clips=clips,
             lines=(run.path / RESOLVED_NAME).read_text("utf-8").splitlines(),
             marked={finding.span.start_position.line for finding in found if finding.span.source.name.endswith(RESOLVED_NAME)},
             rows=[(member.run.path.name, member.run.record, member.verdict.text) for member in self.runs],
             command=join(run.record.command) or "(from Python)", version=deepbots_cli.__version__, python=platform.python_version(),
-            matplotlib=version("matplotlib"), notes=dict.fromkeys([*self.notes, *self.declines, *(note for m in self.runs for note in m.run.notes())]),
+            matplotlib=version("matplotlib"), notes=dict.fromkeys(notes),
         )  # fmt: skip
 
 

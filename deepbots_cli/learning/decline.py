@@ -1,13 +1,14 @@
 """Whether a training fell apart: its last held-out evaluations are worse than earlier ones by more than chance.
 
-The evaluations of a training have 20 fixed starts each. Those of the last quarter of the present stage, at least two, are
-compared with every earlier window of one or three evaluations in a row. A window shows a decline if three things hold:
+The evaluations of a training have 20 fixed starts each, and the last one is at its end. Those of the last quarter of the
+present stage are compared with every earlier window of one or three evaluations in a row. A window shows a decline if three things hold:
 
 - Its episodes are better than the last ones by more than chance: with Fisher's exact test of two proportions where the
   task asks for success, with Welch's test of two means otherwise. The best of many windows looks better than it is, so
   the level of each test is `FALSE_ALARMS` divided by the number of windows (Bonferroni's inequality).
 - The difference is at least `MIN_EFFECT`: points of the success rate, or a share of the range of returns since then. It
   is also at least `MIN_SHARE` of the range of all returns, so that small differences between perfect returns do not count.
+  A single evaluation must differ by `MIN_EFFECT_OF_ONE`: the policy changes from update to update.
 - The very last evaluation is lower by this difference too, so that the training has not recovered.
 
 `tests/learning/test_decline.py` measures how often healthy trainings raise a false alarm. Nothing is compiled, and neither
@@ -30,11 +31,11 @@ from deepbots_cli.learning.run import RunRecord
 FALSE_ALARMS = 0.01
 """The largest probability that a training whose policy stays the same is said to decline."""
 MIN_EFFECT = 0.1
+MIN_EFFECT_OF_ONE = 0.25
 MIN_SHARE = 0.02
 LAST_SHARE = 0.25
 """The part of the present stage whose evaluations are compared with earlier ones."""
 _WINDOWS = (1, 3)
-_MIN_LAST = 2
 
 
 @dataclass(frozen=True)
@@ -94,20 +95,21 @@ def decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decli
     stages = [each["stage"] for each in own]
     first = next((place + 1 for place in reversed(range(len(own))) if stages[place] != stages[-1]), 0)
     begin, own = (own[first - 1]["steps"] if first else 0.0), own[first:]
-    if len(own) <= _MIN_LAST:
+    if len(own) < 2:
         return None
     border = own[-1]["steps"] - LAST_SHARE * (own[-1]["steps"] - begin)
-    split = min(len(own) - _MIN_LAST, next(place for place, each in enumerate(own) if each["steps"] > border))
+    split = next((place for place, each in enumerate(own) if each["steps"] > border), 0)
     name = "successes" if measure == "success_rate" else "returns"
     scores = [list(map(float, each[name])) for each in own]
     last = [score for episodes in scores[split:] for score in episodes]
     spread = 1.0 if name == "successes" else _range(scores)
+    least = MIN_EFFECT if len(own) - split > 1 else MIN_EFFECT_OF_ONE
     windows = [(place, size) for size in _WINDOWS for place in range(split - size + 1)]
     shown: list[tuple[float, int, int]] = []
     for place, size in windows:
         window = [score for episodes in scores[place : place + size] for score in episodes]
         since = 1.0 if name == "successes" else _range(scores[place:])
-        effect = max(MIN_EFFECT * since, MIN_SHARE * spread)
+        effect = max(least * since, MIN_SHARE * spread)
         if fmean(window) - max(fmean(last), fmean(scores[-1])) < effect or effect <= 0:
             continue
         test = fisher if name == "successes" else welch

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -78,20 +79,26 @@ def command(
         rows = [_row(run, with_file=len(files[run.scenario]) > 1) for run in found]
         words = {SourceKind.GROUP: "group", SourceKind.STUDY: "study"}.get(folder_kind(folder) or SourceKind.RUN, "runs in")
         terminal.print_result(f"{words} {folder}\n" + table(rows))
-        for run in found:
-            if run.problem is not None:
-                terminal.note(f"{run.path.name}: {run.problem}")
-            if run.chosen_by == "return":
-                terminal.note(f"{run.path.name}: a version before 0.2 chose its best model by return; `deepbots eval --keep` chooses anew")
-            for inner in (run, *run.runs):
-                if inner.decline is not None:
-                    terminal.note(f"{inner.path.name}: {inner.decline.text}")
-            if run.remarks:
-                terminal.note(f"{run.path.name}: about its evaluation: {'; '.join(run.remarks)}")
+        for note in (note for run in found for note in _notes(run)):
+            terminal.note(note)
     elif scenario is not None or solved or live:
         terminal.note(f"no run in {folder} matches these options; leave them out to list all runs")
     else:
         terminal.note(f"there are no runs in {folder}; next: deepbots train cartpole")
+
+
+def _notes(run: ListedRun) -> Iterator[str]:
+    """What the table does not show of a run."""
+    name = run.path.name
+    if run.problem is not None:
+        yield f"{name}: {run.problem}"
+    if run.chosen_by == "return":
+        yield f"{name}: a version before 0.2 chose its best model by return; `deepbots eval --keep` chooses anew"
+    for inner in (run, *run.runs):
+        if inner.decline is not None:
+            yield f"{name if inner is run else f'{name}/{inner.path.name}'}: {inner.decline.text}"
+    if run.remarks:
+        yield f"{name}: about its evaluation: {'; '.join(run.remarks)}"
 
 
 def _data(run: ListedRun) -> dict[str, Any]:

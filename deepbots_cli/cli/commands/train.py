@@ -38,7 +38,7 @@ from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.learning import report
 from deepbots_cli.learning.decline import decline_of
 from deepbots_cli.learning.group import MAX_RETRIES, Group
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.run import Run, RunRecord
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
@@ -434,10 +434,20 @@ def _finish_group(group: GroupTraining, spread: Spread, *, quiet: bool, as_json:
     causes = [] if worst is None else _causes(worst.run, quiet=quiet, permissions=permissions)
     further = [f"deepbots eval {path} --csv {quote(f'{group.group.name}.csv')}", f"deepbots compare {path} OTHER_GROUP"]
     further.append(f"tensorboard --logdir {path}")
-    data["cause"] = causes[0].as_json() if causes else None
+    found_falls = {run.name: decline_of(run, RunRecord.read(run)) for run in Group.open(group.group).runs}
+    falls = {name: fall for name, fall in found_falls.items() if fall is not None}
+    data |= {"cause": causes[0].as_json() if causes else None, "declines": {name: fall.as_json() for name, fall in falls.items()}}
+    fallen = [f"\nnote: {name}: {fall.text}" for name, fall in falls.items()]
     further = [*(cause.command for cause in causes[:1]), *further]
     of = "" if worst is None else f" of {worst.run}, the worst of {len(unsolved)} unsolved seed{'s' * (len(unsolved) > 1)}"
-    terminal.show(data, "\n" + records.group_text(evaluation), *retries.cause_lines(causes, of), as_json=as_json, next_commands=further)
+    terminal.show(
+        data,
+        "\n" + records.group_text(evaluation),
+        *fallen,
+        *retries.cause_lines(causes, of),
+        as_json=as_json,
+        next_commands=further,
+    )
     if group.failed:
         raise typer.Exit(FAILED)
 
