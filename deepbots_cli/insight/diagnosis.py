@@ -697,10 +697,10 @@ def _length(t: TrainingEvidence, planned: int = 0) -> dict[str, Any]:
 
 CAUSES: tuple[StatementRule[TrainingEvidence], ...] = (
     ending_at_reset, not_finite, fell_apart, action_without_effect, ending_at_once, lint_warns, sensor_without_reading,
-    constant_observation, saturated_observation, term_dominates, ending_early_pays, standing_still_pays, loitering, stage_too_hard, easy_stage_counted,
-    some_starts_fail, reward_apart_from_success, stuck_in_stage, script_succeeds, teacher_sees_more, success_never_seen, silent_terms,
-    learning_rate_too_high, learning_rate_too_low, rewards_too_large, horizon_too_short, exploration_hides_success,
-    success_needs_exploration, exploration_delays_stage, exploration_too_large, exploration_collapsed, success_plateau, one_ending,
-    stopped_early, too_few_steps,
+    constant_observation, saturated_observation, term_dominates, ending_early_pays, standing_still_pays, loitering, stage_too_hard,
+    easy_stage_counted, some_starts_fail, reward_apart_from_success, stuck_in_stage, script_succeeds, teacher_sees_more,
+    success_never_seen, silent_terms, learning_rate_too_high, learning_rate_too_low, rewards_too_large, horizon_too_short,
+    exploration_hides_success, success_needs_exploration, exploration_delays_stage, exploration_too_large, exploration_collapsed,
+    success_plateau, one_ending, stopped_early, too_few_steps,
 )  # fmt: skip
 """Why a training does not learn."""
