@@ -92,45 +92,43 @@ def decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decli
         measure: What the task asks for.
     """
     own = [each for each in evaluations if "steps" in each]
-    stages = [each["stage"] for each in own]
-    first = next((place + 1 for place in reversed(range(len(own))) if stages[place] != stages[-1]), 0)
-    begin, own = (own[first - 1]["steps"] if first else 0.0), own[first:]
+    before = [number for number, each in enumerate(own) if each["stage"] != own[-1]["stage"]]
+    begin, own = (own[before[-1]]["steps"], own[before[-1] + 1 :]) if before else (0.0, own)
     if len(own) < 2:
         return None
+    is_rate = measure == "success_rate"
+    scores = [list(map(float, each["successes" if is_rate else "returns"])) for each in own]
     border = own[-1]["steps"] - LAST_SHARE * (own[-1]["steps"] - begin)
-    split = next((place for place, each in enumerate(own) if each["steps"] > border), 0)
-    name = "successes" if measure == "success_rate" else "returns"
-    scores = [list(map(float, each[name])) for each in own]
-    last = [score for episodes in scores[split:] for score in episodes]
-    spread = 1.0 if name == "successes" else _range(scores)
+    split = sum(each["steps"] <= border for each in own)
+    last = _joined(scores[split:])
     least = MIN_EFFECT if len(own) - split > 1 else MIN_EFFECT_OF_ONE
-    windows = [(place, size) for size in _WINDOWS for place in range(split - size + 1)]
-    shown: list[tuple[float, int, int]] = []
-    for place, size in windows:
-        window = [score for episodes in scores[place : place + size] for score in episodes]
-        since = 1.0 if name == "successes" else _range(scores[place:])
-        effect = max(least * since, MIN_SHARE * spread)
-        if fmean(window) - max(fmean(last), fmean(scores[-1])) < effect or effect <= 0:
+    windows = [range(place, place + size) for size in _WINDOWS for place in range(split - size + 1)]
+    better: list[tuple[float, range]] = []
+    for window in windows:
+        episodes = _joined([scores[number] for number in window])
+        effect = least if is_rate else max(least * _range(scores[window.start :]), MIN_SHARE * _range(scores))
+        if fmean(episodes) - max(fmean(last), fmean(scores[-1])) < effect or effect <= 0:
             continue
-        test = fisher if name == "successes" else welch
-        shown.append((test(window, last), -size, -place))
-    if not shown or min(shown)[0] * len(windows) > FALSE_ALARMS:
+        if (fisher if is_rate else welch)(episodes, last) <= FALSE_ALARMS / len(windows):
+            better.append((fmean(episodes), window))
+    if not better:
         return None
-    _, size, place = min(shown)
-    place, size = -place, -size
+    value, window = max(better, key=lambda each: (each[0], len(each[1]), each[1].start))
     means = list(map(fmean, scores))
-    best = max(range(place, place + size), key=lambda number: (means[number], number))
-    since = _change(means[best:]) + best
-    window = [score for episodes in scores[place : place + size] for score in episodes]
+    best = max(window, key=lambda number: (means[number], number))
     return Decline(
         measure=measure,
-        best_value=fmean(window),
+        best_value=value,
         best_steps=int(own[best]["steps"]),
         last_value=fmean(last),
-        since_steps=int(own[since]["steps"]),
-        best_episodes=len(window),
+        since_steps=int(own[best + _change(means[best:])]["steps"]),
+        best_episodes=sum(len(scores[number]) for number in window),
         last_episodes=len(last),
     )
+
+
+def _joined(scores: Sequence[Sequence[float]]) -> list[float]:
+    return [score for episodes in scores for score in episodes]
 
 
 def _range(scores: Sequence[Sequence[float]]) -> float:

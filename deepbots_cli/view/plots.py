@@ -395,13 +395,15 @@ def plot_decline(returns: Axes | None, successes: Axes | None, log: TrainingLog)
         return
     is_rate = fall.measure == "success_rate"
     best, last = (f"{value:.0%}" if is_rate else f"{value:.4g}" for value in (fall.best_value, fall.last_value))
+    is_late = log.returns is not None and fall.since_steps > 0.7 * log.returns[0][-1]  # the text has no room at its right
     panel.axvline(fall.since_steps, color=DECLINE_COLOR, linewidth=1.2, linestyle="--")
     panel.annotate(
         f"fell apart: {best} to {last}",
         (fall.since_steps, 0.03),
-        (3, 0),
+        (-3 if is_late else 3, 0),
         xycoords=("data", "axes fraction"),
         textcoords="offset points",
+        horizontalalignment="right" if is_late else "left",
         fontsize=7,
         color=DECLINE_COLOR,
     ).set_in_layout(False)
