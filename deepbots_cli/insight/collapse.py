@@ -69,7 +69,7 @@ _ON_POLICY: Mapping[str, _Scale] = {
     "vf_coef": _Scale(0.5, 20),
 }
 _OFF_POLICY: Mapping[str, _Scale] = {
-    "learning_rate": _Scale(None, 5),
+    "learning_rate": _Scale(1e-3, 5),
     "batch_size": _Scale(128, 1 / 8),
     "tau": _Scale(0.005, 40),
     "buffer_size": _Scale(None, 1 / 20),
@@ -167,7 +167,8 @@ def _advised(t: TrainingEvidence, name: str, usual: float, default: Any) -> str:
     if name == "ent_coef" and isinstance(default, str):
         return default
     if name == "learning_rate":
-        return f"{usual:g} -> {usual / 10:g}"
+        rate = min(usual, default) if isinstance(default, int | float) else usual
+        return f"{rate:g} -> {rate / 10:g}"
     return f"{usual:g}" if usual != int(usual) or usual < 10_000 else f"{int(usual):_}"
 
 

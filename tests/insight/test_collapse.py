@@ -14,10 +14,14 @@ pytest.importorskip("stable_baselines3")
 
 from deepbots_cli import api
 from deepbots_cli.cli import main
+from deepbots_cli.document import shipped
+from deepbots_cli.insight.collapse import suspects
 from deepbots_cli.insight.diagnosis import causes_after, diagnose
 from deepbots_cli.insight.training import TrainingEvidence, read_training
 from deepbots_cli.learning import train
+from deepbots_cli.learning.decline import Decline
 from deepbots_cli.learning.run import Run
+from tests.few import few
 from tests.insight.collapses import CASES, has_fallen, named, trained
 
 MEANS = (20, 60, 200, 200, 195, 200, 60, 40, 30, 50)
@@ -93,6 +97,13 @@ def test_with_usual_settings_the_advice_is_smaller_updates(short):
     assert first.cause == "fell_apart"
     assert first.evidence["suspects"] == []
     assert first.settings == {"train.learning_rate": "0.005 -> 0.0005"}
+
+
+@pytest.mark.parametrize("scenario", few(shipped.scenario_names(), ["find_ball", "panda_push", "pit_escape"]))
+def test_no_setting_of_a_shipped_scenario_is_suspected(short, scenario):
+    training = _fallen(short, scenario=scenario)
+    fall = Decline("mean_return", 200.0, 36_000, 40.0, 42_000, 20, 60)
+    assert suspects(replace(training, all_evaluations=[]), fall) == []
 
 
 def test_a_healthy_training_has_not_fallen_apart(short):
