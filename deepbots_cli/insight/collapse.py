@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from statistics import fmean
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -87,24 +88,42 @@ def fell_apart(t: TrainingEvidence) -> Numbers | None:
     fall = t.decline
     if fall is None:
         return None
+    text, numbers = fall.text, {name: value for name, value in fall.as_json().items() if name != "text"}
+    if (paid := _return_meanwhile(t, fall)) is not None and paid[1] >= paid[0]:
+        before, after = paid
+        return {
+            **numbers,
+            "likelihood": 0.5,
+            "fall": text[0].upper() + text[1:],
+            "reasons": f"Meanwhile the mean return rose from {before:.4g} to {after:.4g}: the reward pays for something other than"
+            " success.",
+            "advice": "Make a success earn more than everything else that an episode can collect.",
+            "suspects": [],
+        }
     found = suspects(t, fall)[:_SHOWN]
-    text = fall.text
     reasons = " ".join(f"{number}{suspect.reason}." for number, suspect in zip(("", "Or "), found, strict=False))
     advice = _fallback(t) if not found else f"Write {', or '.join(suspect.advice for suspect in found)}."
     settings = {suspect.path: suspect.advised for suspect in found[:1]} or _fallback_settings(t)
     return {
-        "likelihood": 0.96,
+        **numbers,
+        # Before the rows of single settings; after faults of the reward if no setting is far from usual.
+        "likelihood": 0.945 if found and found[0].weight >= 1.0 else 0.9,
         "fall": text[0].upper() + text[1:],
         "reasons": reasons or "No setting is unusual: later updates may still be too large for a policy that has learned.",
         "advice": advice,
-        "best_value": fall.best_value,
-        "best_steps": fall.best_steps,
-        "last_value": fall.last_value,
-        "since_steps": fall.since_steps,
-        "measure": fall.measure,
         "suspects": [suspect._asdict() for suspect in found],
         "settings": settings,
     }
+
+
+def _return_meanwhile(t: TrainingEvidence, fall: Decline) -> tuple[float, float] | None:
+    """The mean return of the evaluations at the best model and since the fall of the success rate; None for a fall of the return."""
+    if fall.measure != "success_rate":
+        return None
+    own = [(each["steps"], fmean(each["returns"])) for each in t.evaluations if "steps" in each]
+    best = [value for steps, value in own if steps == fall.best_steps]
+    late = [value for steps, value in own if steps >= fall.since_steps]
+    return (best[0], fmean(late)) if best and late else None
 
 
 def suspects(t: TrainingEvidence, fall: Decline) -> list[Suspect]:

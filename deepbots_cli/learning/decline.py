@@ -8,7 +8,7 @@ present stage are compared with every earlier window of one or three evaluations
   the level of each test is `FALSE_ALARMS` divided by the number of windows (Bonferroni's inequality).
 - The difference is at least `MIN_EFFECT`: points of the success rate, or a share of the range of returns since then. It
   is also at least `MIN_SHARE` of the range of all returns, so that small differences between perfect returns do not count.
-  A single evaluation must differ by `MIN_EFFECT_OF_ONE`: the policy changes from update to update.
+  A single evaluation must differ by `MIN_EFFECT_OF_ONE` and `MIN_SHARE_OF_ONE`: the policy changes from update to update.
 - The very last evaluation is lower by this difference too, so that the training has not recovered.
 
 `tests/learning/test_decline.py` measures how often healthy trainings raise a false alarm. Nothing is compiled, and neither
@@ -31,8 +31,8 @@ from deepbots_cli.learning.run import RunRecord
 FALSE_ALARMS = 0.01
 """The largest probability that a training whose policy stays the same is said to decline."""
 MIN_EFFECT = 0.1
-MIN_EFFECT_OF_ONE = 0.25
-MIN_SHARE = 0.02
+MIN_SHARE = 0.05
+MIN_EFFECT_OF_ONE, MIN_SHARE_OF_ONE = 0.25, 0.2
 LAST_SHARE = 0.25
 """The part of the present stage whose evaluations are compared with earlier ones."""
 _WINDOWS = (1, 3)
@@ -101,12 +101,12 @@ def decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decli
     border = own[-1]["steps"] - LAST_SHARE * (own[-1]["steps"] - begin)
     split = sum(each["steps"] <= border for each in own)
     last = _joined(scores[split:])
-    least = MIN_EFFECT if len(own) - split > 1 else MIN_EFFECT_OF_ONE
+    least, share = (MIN_EFFECT, MIN_SHARE) if len(own) - split > 1 else (MIN_EFFECT_OF_ONE, MIN_SHARE_OF_ONE)
     windows = [range(place, place + size) for size in _WINDOWS for place in range(split - size + 1)]
     better: list[tuple[float, range]] = []
     for window in windows:
         episodes = _joined([scores[number] for number in window])
-        effect = least if is_rate else max(least * _range(scores[window.start :]), MIN_SHARE * _range(scores))
+        effect = least if is_rate else max(least * _range(scores[window.start :]), share * _range(scores))
         if fmean(episodes) - max(fmean(last), fmean(scores[-1])) < effect or effect <= 0:
             continue
         if (fisher if is_rate else student)(episodes, last) <= FALSE_ALARMS / len(windows):

@@ -99,6 +99,19 @@ def test_with_usual_settings_the_advice_is_smaller_updates(short):
     assert first.settings == {"train.learning_rate": "0.005 -> 0.0005"}
 
 
+def test_a_success_that_is_given_up_for_more_reward_is_no_matter_of_settings(short):
+    """As where a policy learns to stay beside the mark, which pays more than the mark."""
+    training = _fallen(short, "train.n_epochs=100", scenario="pit_escape", means=(1, 3, 9, 9, 9, 10, 20, 30, 31, 34))
+    for number, each in enumerate(training.all_evaluations):
+        each["successes"] = [float(2 <= number <= 5)] * 20
+    solved = replace(training.run.program.agent, solved=None)
+    opened = replace(training.run.compiled, program=replace(training.run.program, agents={"agent": solved}))
+    training = replace(training, run=replace(training.run, compiled=opened))
+    (cause,) = [cause for cause in diagnose(training) if cause.cause == "fell_apart"]
+    assert cause.settings == {}
+    assert "Meanwhile the mean return rose from" in cause.text
+
+
 @pytest.mark.parametrize("scenario", few(shipped.scenario_names(), ["find_ball", "panda_push", "pit_escape"]))
 def test_no_setting_of_a_shipped_scenario_is_suspected(short, scenario):
     training = _fallen(short, scenario=scenario)
