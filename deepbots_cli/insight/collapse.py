@@ -71,8 +71,8 @@ _ON_POLICY: Mapping[str, _Scale] = {
 }
 _OFF_POLICY: Mapping[str, _Scale] = {
     "learning_rate": _Scale(1e-3, 5),
-    "batch_size": _Scale(128, 1 / 8),
-    "tau": _Scale(0.005, 40),
+    "batch_size": _Scale(None, 1 / 20),
+    "tau": _Scale(None, 40),
     "buffer_size": _Scale(None, 1 / 20),
     "target_update_interval": _Scale(None, 1 / 50),
     "exploration_final_eps": _Scale(0.05, 6),

@@ -92,6 +92,21 @@ def test_ddpg_that_overestimates_is_advised_two_critics(short):
     assert "train.algorithm" not in first.settings
 
 
+@pytest.mark.parametrize(
+    ("settings", "path"),
+    [
+        ("algorithm: DQN", None),
+        ("algorithm: DQN, buffer_size: 500", "train.buffer_size"),
+        ("algorithm: DQN, target_update_interval: 1", "train.target_update_interval"),
+        ("algorithm: DQN, learning_rate: 1e-2", "train.learning_rate"),
+        ("algorithm: A2C", None),
+    ],
+)
+def test_defaults_are_not_suspected_and_values_far_from_them_are(short, settings, path):
+    first = diagnose(_fallen(short, f"train={{{settings}, total_timesteps: 60_000, environments: 8}}"))[0]
+    assert [suspect["path"] for suspect in first.evidence["suspects"]][:1] == ([] if path is None else [path])
+
+
 def test_with_usual_settings_the_advice_is_smaller_updates(short):
     first = diagnose(_fallen(short))[0]
     assert first.cause == "fell_apart"
