@@ -39,7 +39,11 @@ def _lines(means=MEANS, every: int = 6000) -> list[dict]:
 def _fallen(run: Path, *settings: str, scenario: str = "cartpole", means=MEANS, **scalars) -> TrainingEvidence:
     """A training of another scenario and with other logs, in the folder of a short one."""
     training = read_training(Run.open(run))
-    opened = replace(training.run, compiled=api.compile(api.load(scenario, overrides=settings)))
+    opened = replace(
+        training.run,
+        record=training.run.record.model_copy(update={"total_timesteps": 60_000}),
+        compiled=api.compile(api.load(scenario, overrides=settings)),
+    )
     curves = {name.replace("__", "/"): (np.linspace(0, 60_000, len(values)), np.asarray(values, float)) for name, values in scalars.items()}
     return replace(training, run=opened, all_evaluations=_lines(means), scalars=curves)
 
