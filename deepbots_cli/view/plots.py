@@ -179,8 +179,9 @@ def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
     names = ("steps", "r", "l", "is_success")
     try:
         texts = ("ended_by", "stage", "drawn")
-        found = [(*(float(row[name]) for name in names), *(row.get(name) or "" for name in texts)) for row in rows]
-        if not all(math.isfinite(number) for each in found for number in each[:4]) or any(each[0] < 0 for each in found):
+        numbers = [[float(row[name]) for name in names] for row in rows]
+        found = [(*each, *(row.get(name) or "" for name in texts)) for each, row in zip(numbers, rows, strict=True)]
+        if not all(math.isfinite(number) for each in numbers for number in each) or any(each[0] < 0 for each in numbers):
             raise ValueError("a number is not finite, or a step is negative")
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise RunError(f"{run} is damaged: one of its logs cannot be read") from error
