@@ -1,7 +1,8 @@
 """The table of reasons why a policy does not learn, each with its evidence and advice.
 
 A row finds its evidence in the logs or in the short episodes, or does not apply. `likelihood` orders the rows: what was seen to make
-learning impossible comes before what often does, and both before what may only be a symptom. A training that solves its task has none.
+learning impossible comes before what often does, and both before what may only be a symptom. A training that solves its task has none,
+unless it fell apart afterwards.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 from deepbots_cli.analysis import unobserved_reads
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError
+from deepbots_cli.insight.collapse import fell_apart
 from deepbots_cli.insight.rewards import (
     ending_early_pays,
     loitering,
@@ -102,7 +104,7 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
     causes = CAUSES
     if learned:  # starts that fail are of interest where the scenario does not say how many may
         starts = (some_starts_fail,) if training.run.program.agent.solved is None else ()
-        causes = (stopped_early, teacher_sees_more, *starts, *((exploration_too_large,) if learned == "evaluated" else ()))
+        causes = (fell_apart, stopped_early, teacher_sees_more, *starts, *((exploration_too_large,) if learned == "evaluated" else ()))
     found = sorted(statements_about(causes, training), key=lambda each: -each.evidence["likelihood"])
     unlikely = [statement for statement in found if statement.evidence["likelihood"] < CERTAIN]
     left_out = (_SYMPTOMS if len(unlikely) < len(found) else set()) | (set() if training.is_mature else _PROVISIONAL_CAUSES)
@@ -115,10 +117,14 @@ QUICK_SECONDS = 10.0
 
 
 def causes_after(run: Path, permissions: Permissions = Permissions()) -> list[Statement]:
-    """The causes of a training that has ended unsolved, from its files and a few seconds of short episodes; nothing is written."""
+    """The causes of a training that has ended unsolved or fallen apart, from its files and a few seconds of short episodes.
+
+    Nothing is written. A training that fell apart after it had solved its task has the causes of its fall only.
+    """
     training = read_training(Run.open(run))
     if has_learned(training):
-        return [] if training.verdict.solved is not False else diagnose(training)
+        causes = [] if training.verdict.solved is not False and training.decline is None else diagnose(training)
+        return causes if training.verdict.solved is False else [cause for cause in causes if cause.cause == fell_apart.__name__]
     run_probes(training, permissions=permissions, seconds=QUICK_SECONDS)
     return diagnose(training)
 
@@ -690,11 +696,11 @@ def _length(t: TrainingEvidence, planned: int = 0) -> dict[str, Any]:
 
 
 CAUSES: tuple[StatementRule[TrainingEvidence], ...] = (
-    ending_at_reset, not_finite, action_without_effect, ending_at_once, lint_warns, sensor_without_reading, constant_observation,
-    saturated_observation, term_dominates, ending_early_pays, standing_still_pays, loitering, stage_too_hard, easy_stage_counted,
-    some_starts_fail, reward_apart_from_success, stuck_in_stage, script_succeeds, teacher_sees_more, success_never_seen, silent_terms,
-    learning_rate_too_high, learning_rate_too_low, rewards_too_large, horizon_too_short, exploration_hides_success,
-    success_needs_exploration, exploration_delays_stage, exploration_too_large, exploration_collapsed, success_plateau, one_ending,
-    stopped_early, too_few_steps,
+    ending_at_reset, not_finite, fell_apart, action_without_effect, ending_at_once, lint_warns, sensor_without_reading,
+    constant_observation, saturated_observation, term_dominates, ending_early_pays, standing_still_pays, loitering, stage_too_hard,
+    easy_stage_counted, some_starts_fail, reward_apart_from_success, stuck_in_stage, script_succeeds, teacher_sees_more,
+    success_never_seen, silent_terms, learning_rate_too_high, learning_rate_too_low, rewards_too_large, horizon_too_short,
+    exploration_hides_success, success_needs_exploration, exploration_delays_stage, exploration_too_large, exploration_collapsed,
+    success_plateau, one_ending, stopped_early, too_few_steps,
 )  # fmt: skip
 """Why a training does not learn."""

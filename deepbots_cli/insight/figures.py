@@ -23,6 +23,7 @@ from deepbots_cli.view.plots import (
     TrainingLog,
     ending_colors,
     plot_band,
+    plot_decline,
     plot_endings,
     plot_evaluation,
     plot_evaluations,
@@ -66,6 +67,7 @@ def returns(logs: Sequence[TrainingLog], theme: str) -> Figure:
     plot_evaluations(panel, logs, COLORS[1], "evaluations during the training")
     for log in logs:
         plot_evaluation(panel, None, log, COLORS[1])
+        plot_decline(panel, None, log)
     plot_teacher(panel, logs, "mean_return", THEMES[theme][1], f"teacher {logs[0].teacher}")
     return _with_legend(figure, style_panel(panel, "return", theme, stages=[logs]))
 
@@ -80,6 +82,7 @@ def successes(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     plot_evaluations(panel, logs, COLORS[1], "evaluations during the training", successes=True)
     for log in logs:
         plot_evaluation(None, panel, log, COLORS[1])
+        plot_decline(None, panel, log)
     plot_teacher(panel, logs, "success_rate", THEMES[theme][1], f"teacher {logs[0].teacher}")
     panel.set_ylim(-0.03, 1.03)
     return _with_legend(figure, style_panel(panel, "success rate", theme, stages=[logs]))

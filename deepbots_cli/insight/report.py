@@ -207,6 +207,12 @@ class Report:
         starts = "" if is_recording else f" from the starts of the evaluations during the training{stage}"
         return f"{text} Its own score{starts}: {rate}mean return {scores['mean_return']:.4g}."
 
+    @property
+    def declines(self) -> list[str]:
+        """Which trainings fell apart, a sentence for each."""
+        fallen = [(member.run.record.seed, member.log.decline) for member in self.runs if member.log.decline is not None]
+        return [fall.text if len(self.runs) == 1 else f"seed {seed}: {fall.text}" for seed, fall in fallen]
+
     def choose_episodes(self, count: int = _MAX_TRACED_EPISODES) -> list[ReportEpisode]:
         """Episodes at equal distances in the order of their returns, of which the first, the middle and the last have a label."""
         every = [ReportEpisode(member, number) for member in self.runs for number in range(len(member.evaluation.outcomes))]
@@ -326,13 +332,14 @@ class Report:
         run = self.runs[0].run
         _, found = lint_findings(run)
         clips = {label: self.clips[label] for label in EPISODE_LABELS if label in self.clips}
+        notes = [*self.notes, *self.declines, *(note for member in self.runs for note in member.run.notes())]
         return render_template(
             "report.html.j2", html=True, report=self, program=run.program, record=run.record, figures=drawn, findings=found, clips=clips,
             lines=(run.path / RESOLVED_NAME).read_text("utf-8").splitlines(),
             marked={finding.span.start_position.line for finding in found if finding.span.source.name.endswith(RESOLVED_NAME)},
             rows=[(member.run.path.name, member.run.record, member.verdict.text) for member in self.runs],
             command=join(run.record.command) or "(from Python)", version=deepbots_cli.__version__, python=platform.python_version(),
-            matplotlib=version("matplotlib"), notes=dict.fromkeys([*self.notes, *(note for m in self.runs for note in m.run.notes())]),
+            matplotlib=version("matplotlib"), notes=dict.fromkeys(notes),
         )  # fmt: skip
 
 

@@ -28,7 +28,9 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.conditions import instrument_program
 from deepbots_cli.insight.trace import Array, Trace, TraceRecorder
 from deepbots_cli.learning import failures
+from deepbots_cli.learning.decline import Decline, decline
 from deepbots_cli.learning.episodes import meets_solved
+from deepbots_cli.learning.order import measure_of
 from deepbots_cli.learning.run import Run, changed_settings, is_training
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
@@ -187,6 +189,12 @@ class TrainingEvidence:
         value = value.start if isinstance(value, Schedule) else value
         return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
+    @cached_property
+    def decline(self) -> Decline | None:
+        """How far the evaluations fell in the present stage; None where they did not."""
+        program = self.run.program
+        return decline(self.all_evaluations, measure_of(program.agent.solved, defines_success=program.defines_success))
+
     @property
     def steps(self) -> int:
         """Of the whole training; the result of one that runs is as old as its last process."""
@@ -227,6 +235,17 @@ def returns_rise(t: TrainingEvidence) -> tuple[float, float, float, float] | Non
     if not gain > chance > 0 or late.mean() - before < (late.mean() - start) / 6:
         return None
     return float(early.mean()), float(late.mean()), gain, chance
+
+
+def usual_settings(t: TrainingEvidence) -> Mapping[str, Any]:
+    """The hyperparameters that the training would take if the scenario gave none, by name."""
+    program = t.run.program
+    training = program.agent.training
+    if training is None:
+        return {}
+    bare = replace(training, hyperparameters=(), action_noise=None, replay=None)
+    unset = program.with_agents(training=bare)
+    return {entry.name: entry.value for entry in effective_hyperparameters(unset, t.run.record.total_timesteps)}
 
 
 def lint_findings(run: Run) -> tuple[str, Sequence[Finding]]:

@@ -619,8 +619,12 @@ class TrainingCallback:
         """What the policy has seen and done in the last rollout, or in the last steps of the replay buffer.
 
         `saturation/NAME` is the share of observations at the ends of their range, `action/OPTION` how often an option was chosen, and
-        `action/probability` the mean probability of the chosen actions.
+        `action/probability` the mean probability of the chosen actions. `critic/value` is what the critic of an off-policy algorithm
+        predicts, and `critic/followed` the discounted return that followed.
         """
+        if (checked := self.learner.critic_check()) is not None:
+            for name, mean in zip(("value", "followed"), checked, strict=True):
+                self.log.record(f"critic/{name}", mean)
         observations, actions, log_probs = self.learner.recent()
         if log_probs is not None and self.run.program.agent.choices:
             self.log.record("action/probability", float(np.exp(log_probs).mean()))

@@ -17,7 +17,7 @@ from typing import Annotated, Any, TextIO
 from pydantic import BaseModel, Field, NonNegativeInt
 
 from deepbots_cli.errors import RunError
-from deepbots_cli.files import unwritable_message
+from deepbots_cli.files import read_at_most, unwritable_message
 from deepbots_cli.learning.generations import Generations
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
@@ -116,6 +116,35 @@ def read_log(path: Path, *, tail: int | None = None) -> list[dict[str, str]]:
         raise RunError(f"{path} cannot be read: {error.strerror}") from error
     except csv.Error as error:
         raise RunError(f"{path} is damaged: {error}") from error
+
+
+def read_evaluations(run: Path) -> list[dict[str, Any]]:
+    """The evaluations during a training, in order; a last line that is half written is left out.
+
+    They are dictionaries of `steps`, of the `stage` of the curriculum in which the policy acted ("" without one), and of the
+    `returns` and `successes` of their episodes, as numbers.
+
+    Raises:
+        RunError: The file is no regular file, too large, or damaged.
+    """
+    path = run / "evaluations" / "training.jsonl"
+    if path.is_symlink() or (path.exists() and not path.is_file()):  # opening a pipe waits for ever
+        raise RunError(f"{path} is not a regular file")
+    evaluations: list[dict[str, Any]] = []
+    try:
+        text = read_at_most(path, MAX_LOG_BYTES + 1).decode(errors="replace") if path.exists() else ""
+        if len(text) > MAX_LOG_BYTES:
+            raise RunError(f"{path} is larger than {MAX_LOG_BYTES >> 20} MiB")
+        for line in map(json.loads, text[: text.rfind("\n") + 1].splitlines()):
+            lists = {name: [float(value) for value in line[name]] for name in ("returns", "successes")}
+            means = [fmean(each) for each in lists.values()]  # an error without an episode
+            steps = float(line["steps"])
+            if not all(map(math.isfinite, [steps, *means])) or steps < 0:
+                raise ValueError("a number is not finite, or a step is negative")
+            evaluations.append({"steps": steps, "stage": str(line.get("stage") or ""), **lists})
+    except (OSError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise RunError(f"{run} is damaged: one of its logs cannot be read") from error
+    return evaluations
 
 
 # Of a training

@@ -234,6 +234,11 @@ class Learner(ABC):
         """The critic's value of each observation; None without a critic."""
         return None
 
+    def critic_check(self) -> tuple[float, float] | None:
+        """What the critic predicts in recent states, and the discounted return that followed there (means); None where
+        this is unknown. No random number is drawn."""
+        return None
+
     def network(self) -> Any:
         """The layers of the policy, for an export (`learning.sb3.networks.PolicyNetwork`).
 

@@ -16,6 +16,7 @@ from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import MappingNode, ScalarNode
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import read_at_most
+from deepbots_cli.learning.decline import Decline, decline_of
 from deepbots_cli.learning.episodes import WINDOW_EPISODES, read_log
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.run import (
@@ -48,9 +49,10 @@ class ListedRun:
     `evaluated_episodes` episodes; `remarks` say how it differs from a usual one. `training`: the recent episodes of the training, in
     which the policy explores.
     `solved_after` are the steps after which a confirmation showed that the task is solved, `best_steps` those of the best model, and
-    `chosen_by` says what chose it. `settings` are the assignments of `--set`, `teacher` is that of `teacher_of`. `success_rate` is
-    None where the scenario defines no success. `solved` is that of `run_verdict`. Of a run that trains, `cpu_seconds` is as old as its
-    last checkpoint. `updated` is a time in UTC, `problem` why the files cannot be read.
+    `chosen_by` says what chose it. `decline` is how far its evaluations fell since; None where they did not. `settings` are the
+    assignments of `--set`, `teacher` is that of `teacher_of`. `success_rate` is None where the scenario defines no success.
+    `solved` is that of `run_verdict`. Of a run that trains, `cpu_seconds` is as old as its last checkpoint. `updated` is a time in
+    UTC, `problem` why the files cannot be read.
     """
 
     path: Path
@@ -78,6 +80,7 @@ class ListedRun:
     cpu_seconds: float | None = None
     updated: str = ""
     problem: str | None = None
+    decline: Decline | None = None
     runs: tuple[ListedRun, ...] = ()
     planned: int | None = None
 
@@ -149,9 +152,17 @@ def _listed_run(path: Path) -> ListedRun:
         solved_after=confirmed_at.steps if confirmed_at else None,
         best_steps=steps_of_best,
         chosen_by=best.chosen_by if best else None,
+        decline=_decline(path, record),
         cpu_seconds=result.cpu_seconds if result and state != "training" else _cpu_of_checkpoint(path),
         updated=record.updated,
     )
+
+
+def _decline(path: Path, record: RunRecord) -> Decline | None:
+    try:
+        return decline_of(path, record)
+    except RunError:  # its evaluations during the training are damaged, and what else is listed is not
+        return None
 
 
 def _listed_group(path: Path) -> ListedRun:

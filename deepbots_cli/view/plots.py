@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import textwrap
 from collections import Counter
@@ -16,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
-from deepbots_cli.files import read_at_most
-from deepbots_cli.learning.episodes import read_log
+from deepbots_cli.learning.decline import Decline, decline_of
+from deepbots_cli.learning.episodes import read_evaluations, read_log
 from deepbots_cli.learning.listing import teacher_of
 from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, EvaluationRecord, RunRecord, changed_settings, run_folders, short_settings
 from deepbots_cli.learning.verdict import quoted_evaluation
@@ -32,7 +31,6 @@ SUFFIXES = (".png", ".svg")
 _MAX_CURVE_POINTS = 200  # of a curve
 _MAX_COLORED_ENDINGS = 20  # that have a color of their own
 _MAX_STAGES = 100  # that are marked
-_MAX_LOG_BYTES = 1 << 28  # of a log
 _LINE_STYLES = ("-", "--", "-.", ":")
 _MARKS = ("o", "s", "^", "v", "P", "X")
 _PANEL_WIDTH, _LETTER_WIDTH = 4.3, 0.068  # inches: of a panel, and of a letter in its legend
@@ -83,6 +81,7 @@ class TrainingLog:
     model_steps: float | None = None
     teacher: str | None = None
     lessons: dict[str, Curve] = field(default_factory=dict)
+    decline: Decline | None = None
 
 
 def read_logs(paths: Sequence[str | Path], window: int = 100) -> list[TrainingLog]:
@@ -136,6 +135,7 @@ def _read_run(path: Path, window: int) -> TrainingLog:
         means, rates = (np.array([fmean(line[name]) for line in evaluations]) for name in ("returns", "successes"))
         log.evaluations, log.evaluated_successes = (at, means), (at, rates)
         log.evaluation_stages = [line["stage"] for line in evaluations]
+    log.decline = decline_of(path, record)
     scalars = scalars_of(path / "tensorboard")
     finite = {tag: (at[np.isfinite(values)], values[np.isfinite(values)]) for tag, (at, values) in scalars.items()}
     found = {tag: _with_breaks(curve, log.stages) for tag, curve in finite.items() if len(curve[0])}
@@ -180,31 +180,17 @@ def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
     Raises:
         RunError: A file is no regular file, too large, or damaged.
     """
-    rows, text = read_log(run / "monitor.csv"), _text(run / "evaluations" / "training.jsonl")
+    rows, evaluations = read_log(run / "monitor.csv"), read_evaluations(run)
     names = ("steps", "r", "l", "is_success")
-    evaluations: list[dict[str, Any]] = []
     try:
         texts = ("ended_by", "stage", "drawn")
-        found = [(*(float(row[name]) for name in names), *(row.get(name) or "" for name in texts)) for row in rows]
-        for line in map(json.loads, text[: text.rfind("\n") + 1].splitlines()):
-            lists = {name: [float(value) for value in line[name]] for name in ("returns", "successes")}
-            evaluations.append({"steps": float(line["steps"]), "stage": str(line.get("stage") or ""), **lists})
-        ends = [*(each[0] for each in found), *(each["steps"] for each in evaluations)]
-        means = [fmean(each[name]) for each in evaluations for name in ("returns", "successes")]  # an error without an episode
-        if not all(map(math.isfinite, [*ends, *means, *(number for each in found for number in each[1:4])])) or min(ends, default=0) < 0:
+        numbers = [[float(row[name]) for name in names] for row in rows]
+        found = [(*each, *(row.get(name) or "" for name in texts)) for each, row in zip(numbers, rows, strict=True)]
+        if not all(math.isfinite(number) for each in numbers for number in each) or any(each[0] < 0 for each in numbers):
             raise ValueError("a number is not finite, or a step is negative")
-    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise RunError(f"{run} is damaged: one of its logs cannot be read") from error
     return np.array(found, _EPISODE_COLUMNS).view(np.recarray), evaluations
-
-
-def _text(path: Path) -> str:
-    if path.is_symlink() or (path.exists() and not path.is_file()):  # opening a pipe waits for ever
-        raise RunError(f"{path} is not a regular file")
-    text = read_at_most(path, _MAX_LOG_BYTES + 1).decode(errors="replace") if path.exists() else ""
-    if len(text) > _MAX_LOG_BYTES:
-        raise RunError(f"{path} is larger than {_MAX_LOG_BYTES >> 20} MiB")
-    return text
 
 
 def scalars_of(path: Path) -> dict[str, Curve]:
@@ -326,6 +312,7 @@ def _plot_group(returns: Axes, successes: Axes, members: Sequence[TrainingLog], 
     plot_evaluations(successes, members, color, successes=True)
     for log in members:
         plot_evaluation(returns, successes, log, color)
+        plot_decline(returns, successes, log)
     script = f"teacher {members[0].teacher}" if is_only else f"{name}: teacher {members[0].teacher}"
     plot_teacher(returns, members, "mean_return", color, script)
     plot_teacher(successes, members, "success_rate", color, script)
@@ -402,6 +389,31 @@ def plot_evaluation(returns: Axes | None, successes: Axes | None, log: TrainingL
     for panel, value in ((returns, found.mean_return), (successes, found.success_rate if found.success_defined else None)):
         if panel is not None and value is not None:
             panel.plot(step, value, "D", color=color, markersize=6, markeredgecolor="white", clip_on=False, zorder=3)
+
+
+DECLINE_COLOR = "#c0392b"
+
+
+def plot_decline(returns: Axes | None, successes: Axes | None, log: TrainingLog) -> None:
+    """Where a training fell apart: a line at the fall, and how far it fell, in the panel of the measure of the task."""
+    fall = log.decline
+    panel = successes if fall is not None and fall.measure == "success_rate" else returns
+    if fall is None or panel is None:
+        return
+    is_rate = fall.measure == "success_rate"
+    best, last = (f"{value:.0%}" if is_rate else f"{value:.4g}" for value in (fall.best_value, fall.last_value))
+    is_late = log.returns is not None and fall.since_steps > 0.7 * log.returns[0][-1]  # the text has no room at its right
+    panel.axvline(fall.since_steps, color=DECLINE_COLOR, linewidth=1.2, linestyle="--")
+    panel.annotate(
+        f"fell apart: {best} to {last}",
+        (fall.since_steps, 0.03),
+        (-3 if is_late else 3, 0),
+        xycoords=("data", "axes fraction"),
+        textcoords="offset points",
+        horizontalalignment="right" if is_late else "left",
+        fontsize=7,
+        color=DECLINE_COLOR,
+    ).set_in_layout(False)
 
 
 def plot_teacher(panel: Axes, logs: Sequence[TrainingLog], name: str, color: str, label: str) -> None:

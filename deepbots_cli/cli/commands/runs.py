@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -78,21 +79,31 @@ def command(
         rows = [_row(run, with_file=len(files[run.scenario]) > 1) for run in found]
         words = {SourceKind.GROUP: "group", SourceKind.STUDY: "study"}.get(folder_kind(folder) or SourceKind.RUN, "runs in")
         terminal.print_result(f"{words} {folder}\n" + table(rows))
-        for run in found:
-            if run.problem is not None:
-                terminal.note(f"{run.path.name}: {run.problem}")
-            if run.chosen_by == "return":
-                terminal.note(f"{run.path.name}: a version before 0.2 chose its best model by return; `deepbots eval --keep` chooses anew")
-            if run.remarks:
-                terminal.note(f"{run.path.name}: about its evaluation: {'; '.join(run.remarks)}")
+        for note in (note for run in found for note in _notes(run)):
+            terminal.note(note)
     elif scenario is not None or solved or live:
         terminal.note(f"no run in {folder} matches these options; leave them out to list all runs")
     else:
         terminal.note(f"there are no runs in {folder}; next: deepbots train cartpole")
 
 
+def _notes(run: ListedRun) -> Iterator[str]:
+    """What the table does not show of a run."""
+    name = run.path.name
+    if run.problem is not None:
+        yield f"{name}: {run.problem}"
+    if run.chosen_by == "return":
+        yield f"{name}: a version before 0.2 chose its best model by return; `deepbots eval --keep` chooses anew"
+    for inner in (run, *run.runs):
+        if inner.decline is not None:
+            yield f"{name if inner is run else f'{name}/{inner.path.name}'}: {inner.decline.text}"
+    if run.remarks:
+        yield f"{name}: about its evaluation: {'; '.join(run.remarks)}"
+
+
 def _data(run: ListedRun) -> dict[str, Any]:
-    return {**vars(run), "name": run.path.name, "runs": [_data(inner) for inner in run.runs]}
+    fall = None if run.decline is None else run.decline.as_json()
+    return {**vars(run), "name": run.path.name, "decline": fall, "runs": [_data(inner) for inner in run.runs]}
 
 
 def _row(run: ListedRun, *, with_file: bool = False) -> Row:
@@ -138,6 +149,7 @@ def _show_run(folder: Path, *, as_json: bool) -> None:
     tables = [f"run {folder}\n{table([_row(run)])}", *([f"\nevaluations\n{table(rows)}"] if rows else [])]
     terminal.show({**_data(run), "evaluations": data}, *tables, as_json=as_json)
     notes = [run.problem] if run.problem is not None else []
+    notes += [] if run.decline is None else [run.decline.text]
     notes += [] if rows else [f"there is no evaluation yet; next: deepbots eval {folder}"]
     notes += [f"evaluation {number}: {one}" for number, one in kept if isinstance(one, str)]
     for note in () if as_json else notes:

@@ -36,8 +36,9 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.learning import report
+from deepbots_cli.learning.decline import decline_of
 from deepbots_cli.learning.group import MAX_RETRIES, Group
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.run import Run, RunRecord
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
@@ -433,10 +434,20 @@ def _finish_group(group: GroupTraining, spread: Spread, *, quiet: bool, as_json:
     causes = [] if worst is None else _causes(worst.run, quiet=quiet, permissions=permissions)
     further = [f"deepbots eval {path} --csv {quote(f'{group.group.name}.csv')}", f"deepbots compare {path} OTHER_GROUP"]
     further.append(f"tensorboard --logdir {path}")
-    data["cause"] = causes[0].as_json() if causes else None
+    found_falls = {run.name: decline_of(run, RunRecord.read(run)) for run in Group.open(group.group).runs}
+    falls = {name: fall for name, fall in found_falls.items() if fall is not None}
+    data |= {"cause": causes[0].as_json() if causes else None, "declines": {name: fall.as_json() for name, fall in falls.items()}}
+    fallen = [f"\nnote: {name}: {fall.text}" for name, fall in falls.items()]
     further = [*(cause.command for cause in causes[:1]), *further]
     of = "" if worst is None else f" of {worst.run}, the worst of {len(unsolved)} unsolved seed{'s' * (len(unsolved) > 1)}"
-    terminal.show(data, "\n" + records.group_text(evaluation), *retries.cause_lines(causes, of), as_json=as_json, next_commands=further)
+    terminal.show(
+        data,
+        "\n" + records.group_text(evaluation),
+        *fallen,
+        *retries.cause_lines(causes, of),
+        as_json=as_json,
+        next_commands=further,
+    )
     if group.failed:
         raise typer.Exit(FAILED)
 
@@ -460,20 +471,29 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: 
         further = [f"deepbots {command} {run}" for command in ("view", "report", "export")]
     has_goal = solved is False or trained.program.defines_success
     unsolved = has_goal and not solved
-    causes = _causes(result.run, quiet=quiet, permissions=permissions) if unsolved else []
+    fall = decline_of(result.run, trained.record)
+    causes = _causes(result.run, quiet=quiet, permissions=permissions) if unsolved or fall is not None else []
     if unsolved and not causes:
         further.insert(0, f"deepbots eval {run} --details")
     if causes:
         commands = [causes[0].command, f"deepbots diagnose {run}"]
         further = [*dict.fromkeys(filter(None, [*commands, *further[:1], *further[2:]]))]
-    data = {"training": result, "evaluation": found, "solved": solved, "cause": causes[0].as_json() if causes else None}
+    data = {
+        "training": result,
+        "evaluation": found,
+        "solved": solved,
+        "decline": None if fall is None else fall.as_json(),
+        "cause": causes[0].as_json() if causes else None,
+    }
     text = "\n" + records.evaluation_text(evaluation, cases)
     no_cause = ["\nno cause found; `eval --details` shows from which starts the policy fails"] if unsolved and not causes else []
-    terminal.show(data, text, *retries.cause_lines(causes), *no_cause, as_json=as_json, next_commands=further)
+    is_explained = bool(causes) and causes[0].cause == "fell_apart"  # whose text is this sentence
+    fallen = [] if fall is None or is_explained else [f"\nnote: {fall.text}"]
+    terminal.show(data, text, *fallen, *retries.cause_lines(causes), *no_cause, as_json=as_json, next_commands=further)
 
 
 def _causes(run: Path, *, quiet: bool, permissions: Permissions) -> list[Statement]:
-    """Why a training did not solve its task, the most likely cause first."""
+    """Why a training did not solve its task or fell apart, the most likely cause first."""
     with terminal.transient_line("" if quiet else "looking for the cause ..."):
         from deepbots_cli.insight.diagnosis import causes_after
 

@@ -30,7 +30,7 @@ from deepbots_cli.learning.callbacks import TrainingCallback
 from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState
 from deepbots_cli.learning.demonstrations import Demonstrations
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
-from deepbots_cli.learning.sb3 import algorithms, models, networks, rollouts, state
+from deepbots_cli.learning.sb3 import algorithms, critics, models, networks, rollouts, state
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment, as_returned, spaces_only
 from deepbots_cli.learning.sb3.imitation import (
     Lessons,
@@ -380,6 +380,10 @@ class StableLearner(Learner):
 
     def values(self, observations: Any) -> Array | None:
         return networks.critic_values(self.setup.training, self.model.policy, observations)
+
+    def critic_check(self) -> tuple[float, float] | None:
+        """Of an off-policy algorithm; one that learns on fragments logs how much of their returns its critic explains."""
+        return critics.check_critic(self.model) if self.is_off_policy else None
 
     def network(self) -> networks.PolicyNetwork:
         return networks.policy_network(self.setup.training, self.model.policy)

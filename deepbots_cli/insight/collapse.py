@@ -1,0 +1,376 @@
+"""Why a training fell apart: the fall of its evaluations, and the settings that explain it.
+
+A setting is suspected by how far it is from its usual value, on a scale of its own where 1 means "often breaks a training
+that has learned", and by what the scalars of the run say: an update that changes the policy a lot has a large KL
+divergence, a weight of the entropy that is too large lets the entropy rise again, a critic that overestimates predicts more
+than follows. `tests/insight/collapses.py` measures how often the planted setting is named.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from statistics import fmean
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from deepbots_cli.insight.statements import Numbers
+from deepbots_cli.insight.training import TrainingEvidence, usual_settings
+from deepbots_cli.learning.decline import Decline
+from deepbots_cli.program.task import Schedule
+from deepbots_cli.scenario.training import ALGORITHMS
+
+SUSPECTED = 0.5
+"""The weight from which on a setting is named; that of a shipped scenario stays below."""
+_SHOWN = 2
+_LARGE_UPDATE = 0.03
+"""KL divergence of an update that changes the policy a lot; in a usual one it is 0.003 to 0.02."""
+_OVERESTIMATES = 1.3
+"""The predicted value over the return that followed."""
+_USUAL_RETURN, _LARGE_RETURN = 300.0, 10.0
+"""Returns to which a critic is used, and how many times larger ones break it."""
+
+
+class Suspect(NamedTuple):
+    """A setting that explains a fall: its path, its value and the one to write, both as text, a reason, and how likely it is."""
+
+    path: str
+    now: str
+    advised: str
+    reason: str
+    weight: float
+
+    @property
+    def advice(self) -> str:
+        return f"`{self.path}: {self.advised}`" + (f" instead of {self.now}" if self.now else "")
+
+
+class _Scale(NamedTuple):
+    """How the distance of a setting from its usual value is measured.
+
+    Attributes:
+        usual: Its usual value; None for its default.
+        times: How many times larger (smaller, if below 1) a value often breaks a training.
+        acts_by_updates: Whether it breaks it by updates that change the policy a lot.
+    """
+
+    usual: float | None
+    times: float
+    acts_by_updates: bool = False
+
+
+_ON_POLICY: Mapping[str, _Scale] = {
+    "learning_rate": _Scale(None, 5, acts_by_updates=True),
+    "n_epochs": _Scale(10, 5, acts_by_updates=True),
+    "clip_range": _Scale(0.2, 2.5, acts_by_updates=True),
+    "batch_size": _Scale(64, 1 / 4, acts_by_updates=True),
+    "max_grad_norm": _Scale(0.5, 20, acts_by_updates=True),
+    "ent_coef": _Scale(0.01, 8),
+    "vf_coef": _Scale(0.5, 20),
+}
+_OFF_POLICY: Mapping[str, _Scale] = {
+    "learning_rate": _Scale(1e-3, 5),
+    "batch_size": _Scale(None, 1 / 20),
+    "tau": _Scale(None, 40),
+    "buffer_size": _Scale(None, 1 / 20),
+    "target_update_interval": _Scale(None, 1 / 50),
+    "exploration_final_eps": _Scale(0.05, 6),
+    "ent_coef": _Scale(0.02, 10),
+}
+
+
+def fell_apart(t: TrainingEvidence) -> Numbers | None:
+    """{fall}. {reasons}
+
+    Try: {advice} The best model is from before the fall: `deepbots view`, `eval` and `export` use it.
+    """
+    fall = t.decline
+    if fall is None:
+        return None
+    text, numbers = fall.text, {name: value for name, value in fall.as_json().items() if name != "text"}
+    if (paid := _return_meanwhile(t, fall)) is not None and paid[1] >= paid[0]:
+        before, after = paid
+        return {
+            **numbers,
+            "likelihood": 0.5,
+            "fall": text[0].upper() + text[1:],
+            "reasons": f"Meanwhile the mean return rose from {before:.4g} to {after:.4g}: the reward pays for something other than"
+            " success.",
+            "advice": "Make a success earn more than everything else that an episode can collect.",
+            "suspects": [],
+        }
+    found = suspects(t, fall)[:_SHOWN]
+    reasons = " ".join(f"{number}{suspect.reason}." for number, suspect in zip(("", "Or "), found, strict=False))
+    advice = _fallback(t) if not found else f"Write {', or '.join(suspect.advice for suspect in found)}."
+    settings = {suspect.path: suspect.advised for suspect in found[:1]} or _fallback_settings(t)
+    return {
+        **numbers,
+        # Before the rows of single settings; after faults of the reward if no setting is far from usual.
+        "likelihood": 0.945 if found and found[0].weight >= 1.0 else 0.9,
+        "fall": text[0].upper() + text[1:],
+        "reasons": reasons or "No setting is unusual: later updates may still be too large for a policy that has learned.",
+        "advice": advice,
+        "suspects": [suspect._asdict() for suspect in found],
+        "settings": settings,
+    }
+
+
+def _return_meanwhile(t: TrainingEvidence, fall: Decline) -> tuple[float, float] | None:
+    """The mean return of the evaluations at the best model and since the fall of the success rate; None for a fall of the return."""
+    if fall.measure != "success_rate":
+        return None
+    own = [(each["steps"], fmean(each["returns"])) for each in t.evaluations if "steps" in each]
+    best = [value for steps, value in own if steps == fall.best_steps]
+    late = [value for steps, value in own if steps >= fall.since_steps]
+    return (best[0], fmean(late)) if best and late else None
+
+
+def suspects(t: TrainingEvidence, fall: Decline) -> list[Suspect]:
+    """The settings that explain a fall, the most likely first; only those whose value is not the advised one."""
+    training = t.program.agent.training
+    if training is None:
+        return []
+    is_off_policy = "buffer_size" in t.settings
+    scales = _OFF_POLICY if is_off_policy else _ON_POLICY
+    found = [_of_scale(t, fall, name, scale) for name, scale in scales.items()]
+    rules: tuple[Callable[[TrainingEvidence, Decline], Suspect | None], ...] = (
+        _overestimates,
+        _reward_scale,
+        _discount,
+        _trace,
+        _small_rollouts,
+        _updates_per_step,
+        _noise,
+        _advantages,
+        _after_teacher,
+    )
+    found += [rule(t, fall) for rule in rules]
+    named = [each for each in found if each is not None and each.weight >= SUSPECTED and each.now != each.advised]
+    return sorted(named, key=lambda each: -each.weight)
+
+
+def _of_scale(t: TrainingEvidence, fall: Decline, name: str, scale: _Scale) -> Suspect | None:
+    """A number that is too large or too small."""
+    value, default = _value_at(t, name, fall.since_steps), usual_settings(t).get(name)
+    usual = scale.usual
+    if usual is None:
+        usual = default if isinstance(default, int | float) else 3e-4
+    if value is None or value <= 0 or usual <= 0:
+        return None
+    weight = math.log(value / usual) / math.log(scale.times)
+    times = value / usual if scale.times > 1 else usual / value
+    size = f"{times:.2g} times" if scale.times > 1 else f"{times:.2g} times smaller than"
+    reason = f"`{name}` is {value:g}, {size} the usual {usual:g}"
+    if scale.acts_by_updates:
+        divergence = _since(t, "train/approx_kl", fall.best_steps)
+        if len(divergence):
+            high = float(np.quantile(divergence, 0.9))
+            weight *= 1.0 if high >= _LARGE_UPDATE else 0.6
+            reason += f"; the KL divergence of an update is up to {divergence.max():.2g} since {fall.best_steps:,} steps"
+    if name == "ent_coef":
+        before, after = (-_part(t, "train/entropy_loss", *ends) for ends in _before_and_after(fall))
+        if len(before) and len(after):
+            rise = float(after.mean() - before.mean())
+            weight *= 1.2 if rise > 0 else 0.8
+            reason += f"; the entropy went from {before.mean():.2g} to {after.mean():.2g}"
+    now = t.settings.get(name)
+    text = f"{now.start:g} -> {now.end:g}" if isinstance(now, Schedule) else f"{value:g}"
+    return Suspect(f"train.{name}", text, _advised(t, name, usual, default), reason, weight)
+
+
+def _advised(t: TrainingEvidence, name: str, usual: float, default: Any) -> str:
+    """The value to write."""
+    if name == "batch_size" and (rows := _rows(t)):
+        return f"{next((size for size in (256, 128, 64, 32) if rows % size == 0 and size < rows), rows)}"
+    if name == "ent_coef" and isinstance(default, str):
+        return default
+    if name == "learning_rate":
+        rate = min(usual, default) if isinstance(default, int | float) else usual
+        return f"{rate:g} -> {rate / 10:g}"
+    return f"{usual:g}" if usual != int(usual) or usual < 10_000 else f"{int(usual):_}"
+
+
+def _overestimates(t: TrainingEvidence, fall: Decline) -> Suspect | None:
+    """A critic that predicts more than follows: a single one is replaced by two, of two the rate is lowered."""
+    predicted, followed = (_since(t, f"critic/{name}", fall.best_steps) for name in ("value", "followed"))
+    if not len(predicted):
+        return None
+    value, real = float(np.median(predicted)), float(np.median(followed))
+    # Of small values, the ratio says little: the scale is that of the returns that the policy had.
+    scale = max(abs(real), 0.1 * float(np.abs(_part(t, "critic/followed", 0.0, math.inf)).max()), 1e-9)
+    if value - real < (_OVERESTIMATES - 1) * scale:
+        return None
+    reason = f"the critic overestimates: since {fall.best_steps:,} steps it predicts {value:.3g}, and {real:.3g} follow"
+    weight = min(2.0, 0.6 + (value - real) / scale)
+    algorithm, base = t.program.agent.training.algorithm, _base(t)  # type: ignore[union-attr]  # of a training
+    if base == "DDPG":
+        return Suspect("train.algorithm", algorithm, "TD3", f"{reason}; TD3 and SAC take the smaller one of two critics", weight)
+    rate = _value_at(t, "learning_rate", fall.since_steps)
+    if rate is None:
+        return None
+    return Suspect("train.learning_rate", f"{rate:g}", f"{rate / 3:.1g}", reason, weight)
+
+
+def _reward_scale(t: TrainingEvidence, fall: Decline) -> Suspect | None:
+    """Returns that are too large for a critic."""
+    training = t.program.agent.training
+    if training is None or training.normalize == "reward" or not t.evaluations:
+        return None
+    size = float(np.mean([abs(value) for each in t.evaluations for value in each["returns"]]))
+    high = max(abs(value) for each in t.evaluations for value in each["returns"])
+    if size <= 0:
+        return None
+    weight = math.log(high / _USUAL_RETURN) / math.log(_LARGE_RETURN) if high > 0 else 0.0
+    reason = f"the rewards are large: the returns of evaluations are up to {high:,.4g}"
+    explained = _since(t, "train/explained_variance", fall.best_steps)
+    if len(explained):
+        median = float(np.median(explained))
+        weight += 0.3 if median < 0.3 else 0.0
+        reason += f", and the critic explains {max(0.0, median):.0%} of their variance"
+    return Suspect("train.normalize", "", "reward", reason, weight)
+
+
+def _discount(t: TrainingEvidence, fall: Decline) -> Suspect | None:
+    """A discount factor of 1, with which errors of the critic do not fade, or one that hides what follows."""
+    gamma = t.number_setting("gamma")
+    length = t.program.truncation.max_episode_steps(t.program.period)
+    if gamma is None:
+        return None
+    wanted = min(0.99, max(0.9, round(1 - 4 / length, 3)))
+    horizon, usual = 1 / max(1e-6, 1 - gamma), 1 / (1 - wanted)
+    if gamma >= 1:
+        reason = "`gamma` is 1, so errors of the critic about later rewards do not fade"
+        return Suspect("train.gamma", f"{gamma:g}", f"{wanted:g}", reason, 0.9)
+    # A horizon of a third of the usual one is common; of a tenth it hides the end of an episode.
+    weight = math.log(usual / horizon) / math.log(8) if horizon < usual else math.log(horizon / usual) / math.log(30)
+    reason = f"`gamma` is {gamma:g}: rewards {'count' if horizon < usual else 'add up'} over about {horizon:.0f} of {length:,} steps"
+    return Suspect("train.gamma", f"{gamma:g}", f"{wanted:g}", reason, weight)
+
+
+def _trace(t: TrainingEvidence, fall: Decline) -> Suspect | None:
+    """`gae_lambda` of 1 gives noisy advantages, and a small one those of a critic that knows little."""
+    trace = t.number_setting("gae_lambda")
+    if trace is None or _base(t) == "A2C" or 0.6 <= trace < 0.995:
+        return None
+    return Suspect("train.gae_lambda", f"{trace:g}", "0.9", f"`gae_lambda` is {trace:g}, and 0.8 to 0.95 is usual", 0.8)
+
+
+def _small_rollouts(t: TrainingEvidence, fall: Decline) -> Suspect | None:
+    """Updates from too few steps."""
+    rows, steps = _rows(t), t.number_setting("n_steps")
+    if not rows or not steps or "n_epochs" not in t.settings:
+        return None
+    usual = max(32.0, 256 / rows * steps)
+    reason = f"an update uses {rows:,.0f} steps only, and 256 or more are usual"
+    return Suspect("train.n_steps", f"{steps:g}", f"{usual:.0f}", reason, math.log(256 / rows) / math.log(8))
+
+
+def _updates_per_step(t: TrainingEvidence, fall: Decline) -> Suspect | None:
+    """Gradient steps of an off-policy algorithm for each new step."""
+    training, updates, often = t.program.agent.training, t.number_setting("gradient_steps"), t.number_setting("train_freq")
+    if training is None or updates is None or often is None or "buffer_size" not in t.settings or updates <= 0:
+        return None
+    ratio = updates / (often * training.environments)
+    if ratio <= 1:
+        return None
+    reason = f"`gradient_steps` makes {ratio:.2g} updates for each step of a world, and 1 is usual"
+    return Suspect("train.gradient_steps", f"{updates:g}", "-1", reason, math.log(ratio) / math.log(6))
+
+
+def _noise(t: TrainingEvidence, fall: Decline) -> Suspect | None:
+    """Action noise that hides what the policy does, or none."""
+    noise = t.settings.get("action_noise")
+    sigma = getattr(noise, "sigma", None)
+    if sigma is None:
+        return None
+    value = _at(sigma, t, fall.since_steps)
+    now = f"{sigma.start:g} -> {sigma.end:g}" if sigma.start != sigma.end else f"{sigma.start:g}"
+    weight = math.log(value / 0.2) / math.log(4) if value > 0 else 0.7
+    is_given = t.program.agent.training is not None and t.program.agent.training.action_noise is not None
+    path, advised = ("train.action_noise.sigma", "0.3 -> 0.1") if is_given else ("train.action_noise", "{type: normal, sigma: 0.3 -> 0.1}")
+    return Suspect(path, now, advised, f"the noise on actions has a standard deviation of {value:.2g}, and 0.1 to 0.4 is usual", weight)
+
+
+def _advantages(t: TrainingEvidence, fall: Decline) -> Suspect | None:
+    """Advantages as large as the rewards."""
+    if "n_epochs" not in t.settings or t.settings.get("normalize_advantage") is not False:
+        return None
+    reason = "`normalize_advantage` is false, so that updates are as large as the rewards"
+    return Suspect("train.normalize_advantage", "false", "true", reason, 0.9)
+
+
+def _after_teacher(t: TrainingEvidence, fall: Decline) -> Suspect | None:
+    """A policy that was better while it imitated than what it learned by itself."""
+    weights = _part(t, "teacher/weight", 0.0, math.inf)
+    if not len(weights):
+        return None
+    steps, values = t.scalars["teacher/weight"]
+    alone = steps[values < 1.0]
+    if not len(alone) or fall.since_steps < alone[0]:
+        return None
+    rate = _value_at(t, "learning_rate", fall.since_steps)
+    if rate is None:
+        return None
+    reason = f"it fell after the teacher had ended, at {int(alone[0]):,} steps: the updates of the algorithm undo what was imitated"
+    return Suspect("train.learning_rate", f"{rate:g}", f"{rate / 5:.1g}", reason, 0.75)
+
+
+def _fallback(t: TrainingEvidence) -> str:
+    """The advice where no setting is unusual."""
+    settings = _fallback_settings(t)
+    change = " and ".join(f"`{path}: {value}`" for path, value in settings.items())
+    return f"Write {change}, so that updates become smaller." if change else "Train with further seeds: `--seeds 0..4`."
+
+
+def _fallback_settings(t: TrainingEvidence) -> dict[str, str]:
+    rate = t.settings.get("learning_rate")
+    if isinstance(rate, int | float) and rate > 0:
+        return {"train.learning_rate": f"{rate:g} -> {rate / 10:g}"}
+    if isinstance(rate, Schedule) and rate.start > 0:
+        return {"train.learning_rate": f"{rate.start / 3:.1g} -> {rate.end / 3:.1g}"}
+    return {}
+
+
+# Numbers
+
+
+def _base(t: TrainingEvidence) -> str:
+    training = t.program.agent.training
+    known = None if training is None else ALGORITHMS.get(training.algorithm)
+    return "" if known is None else known.base()
+
+
+def _rows(t: TrainingEvidence) -> int:
+    """Steps of all rows between two updates of an on-policy algorithm; 0 for another one."""
+    training, steps, copies = t.program.agent.training, t.number_setting("n_steps"), t.program.agent.copies
+    if training is None or steps is None or "buffer_size" in t.settings:
+        return 0
+    return int(steps) * training.environments * (copies.count if copies else 1)
+
+
+def _at(value: Schedule, t: TrainingEvidence, steps: float) -> float:
+    share = min(1.0, steps / max(1, t.run.record.total_timesteps))
+    return value.start + share * (value.end - value.start)
+
+
+def _value_at(t: TrainingEvidence, name: str, steps: float) -> float | None:
+    """A hyperparameter after so many steps; None where it is no number."""
+    value = t.settings.get(name)
+    return _at(value, t, steps) if isinstance(value, Schedule) else t.number_setting(name)
+
+
+def _before_and_after(fall: Decline) -> tuple[tuple[float, float], tuple[float, float]]:
+    return (0.5 * fall.best_steps, float(fall.best_steps)), (float(fall.since_steps), math.inf)
+
+
+def _part(t: TrainingEvidence, tag: str, first: float, last: float) -> Any:
+    """The finite values of a scalar between two numbers of steps."""
+    if tag not in t.scalars:
+        return np.zeros(0)
+    steps, values = t.scalars[tag]
+    return values[(steps >= first) & (steps <= last) & np.isfinite(values)]
+
+
+def _since(t: TrainingEvidence, tag: str, first: float) -> Any:
+    return _part(t, tag, first, math.inf)

@@ -1,0 +1,171 @@
+"""Whether a training fell apart: its last held-out evaluations are worse than earlier ones by more than chance.
+
+The evaluations of a training have 20 fixed starts each, and the last one is at its end. Those of the last quarter of the
+present stage are compared with every earlier window of one or three evaluations in a row. A window shows a decline if three things hold:
+
+- Its episodes are better than the last ones by more than chance: with Fisher's exact test of two proportions where the
+  task asks for success, with Student's test of two means otherwise. The best of many windows looks better than it is, so
+  the level of each test is `FALSE_ALARMS` divided by the number of windows (Bonferroni's inequality).
+- The difference is at least `MIN_EFFECT`: points of the success rate, or a share of the range of returns since then. It
+  is also at least `MIN_SHARE` of the range of all returns, so that small differences between perfect returns do not count.
+  A single evaluation must differ by `MIN_EFFECT_OF_ONE` and `MIN_SHARE_OF_ONE`: the policy changes from update to update.
+- The very last evaluation is lower by this difference too, so that the training has not recovered.
+
+`tests/learning/test_decline.py` measures how often healthy trainings raise a false alarm. Nothing is compiled, and neither
+numpy nor torch is imported.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import NormalDist, fmean, variance
+from typing import Any
+
+from deepbots_cli.learning.episodes import read_evaluations
+from deepbots_cli.learning.order import Measure
+from deepbots_cli.learning.run import RunRecord
+
+FALSE_ALARMS = 0.01
+"""The largest probability that a training whose policy stays the same is said to decline."""
+MIN_EFFECT = 0.1
+MIN_SHARE = 0.05
+MIN_EFFECT_OF_ONE, MIN_SHARE_OF_ONE = 0.25, 0.2
+LAST_SHARE = 0.25
+"""The part of the present stage whose evaluations are compared with earlier ones."""
+_WINDOWS = (1, 3)
+
+
+@dataclass(frozen=True)
+class Decline:
+    """By how much a training got worse, and since when.
+
+    Attributes:
+        measure: What the task asks for, of which the values are.
+        best_value: The value of the best window, a mean over its episodes.
+        best_steps: Steps of the training at the best evaluation in this window.
+        last_value: The value in the last quarter.
+        since_steps: Steps at the first of the worse evaluations: the split into two means with the smallest squared error.
+        best_episodes: Episodes of `best_value`, as `last_episodes` of `last_value`.
+    """
+
+    measure: Measure
+    best_value: float
+    best_steps: int
+    last_value: float
+    since_steps: int
+    best_episodes: int
+    last_episodes: int
+
+    def as_json(self) -> dict[str, Any]:
+        """The attributes, and the sentence."""
+        return {**asdict(self), "text": self.text}
+
+    @property
+    def text(self) -> str:
+        """A sentence: what fell, from where to where, and when; without a full stop."""
+        name = "success rate" if self.measure == "success_rate" else "mean return"
+        best, last = map("{:.0%}".format if self.measure == "success_rate" else "{:.4g}".format, (self.best_value, self.last_value))
+        return (
+            f"the training fell apart: the {name} of its evaluations fell from {best} at {self.best_steps:,} steps to {last}"
+            f" in the last quarter ({self.last_episodes:,} episodes), after about {self.since_steps:,} steps"
+        )
+
+
+def decline_of(run: Path, record: RunRecord) -> Decline | None:
+    """The decline of a training from the files of its run, also while it trains; None where it has none.
+
+    Raises:
+        RunError: Its evaluations cannot be read.
+    """
+    best = record.result.best_model if record.result is not None else None
+    return None if best is None else decline(read_evaluations(run), best.measure)
+
+
+def decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decline | None:
+    """By how much a training got worse in its present stage; None where it did not, or by no more than chance.
+
+    Args:
+        evaluations: Those of `read_evaluations`, in order. Entries without `steps` are not of the training.
+        measure: What the task asks for.
+    """
+    own = [each for each in evaluations if "steps" in each]
+    before = [number for number, each in enumerate(own) if each["stage"] != own[-1]["stage"]]
+    begin, own = (own[before[-1]]["steps"], own[before[-1] + 1 :]) if before else (0.0, own)
+    if len(own) < 2:
+        return None
+    is_rate = measure == "success_rate"
+    scores = [list(map(float, each["successes" if is_rate else "returns"])) for each in own]
+    border = own[-1]["steps"] - LAST_SHARE * (own[-1]["steps"] - begin)
+    split = sum(each["steps"] <= border for each in own)
+    last = _joined(scores[split:])
+    least, share = (MIN_EFFECT, MIN_SHARE) if len(own) - split > 1 else (MIN_EFFECT_OF_ONE, MIN_SHARE_OF_ONE)
+    windows = [range(place, place + size) for size in _WINDOWS for place in range(split - size + 1)]
+    better: list[tuple[float, range]] = []
+    for window in windows:
+        episodes = _joined([scores[number] for number in window])
+        effect = least if is_rate else max(least * _range(scores[window.start :]), share * _range(scores))
+        if fmean(episodes) - max(fmean(last), fmean(scores[-1])) < effect or effect <= 0:
+            continue
+        if (fisher if is_rate else student)(episodes, last) <= FALSE_ALARMS / len(windows):
+            better.append((fmean(episodes), window))
+    if not better:
+        return None
+    value, window = max(better, key=lambda each: (each[0], len(each[1]), each[1].start))
+    means = list(map(fmean, scores))
+    best = max(window, key=lambda number: (means[number], number))
+    return Decline(
+        measure=measure,
+        best_value=value,
+        best_steps=int(own[best]["steps"]),
+        last_value=fmean(last),
+        since_steps=int(own[best + _change(means[best:])]["steps"]),
+        best_episodes=sum(len(scores[number]) for number in window),
+        last_episodes=len(last),
+    )
+
+
+def _joined(scores: Sequence[Sequence[float]]) -> list[float]:
+    return [score for episodes in scores for score in episodes]
+
+
+def _range(scores: Sequence[Sequence[float]]) -> float:
+    return max(map(max, scores)) - min(map(min, scores))
+
+
+def _change(means: Sequence[float]) -> int:
+    """The place from 1 at which two means, before and from there on, leave the smallest squared error."""
+
+    def error(place: int) -> float:
+        parts = (means[:place], means[place:])
+        return sum((value - fmean(part)) ** 2 for part in parts for value in part)
+
+    return min(range(1, len(means)), key=error)
+
+
+def fisher(better: Sequence[float], worse: Sequence[float]) -> float:
+    """The one-sided p-value that the rate of `better` is not higher: so many of all successes fall to it, or more (R. A. Fisher, 1935)."""
+    successes, count, total = round(sum(better) + sum(worse)), len(better), len(better) + len(worse)
+    ways = math.comb(total, successes)
+    least, most = round(sum(better)), min(successes, count)
+    return sum(math.comb(count, k) * math.comb(total - count, successes - k) for k in range(least, most + 1)) / ways
+
+
+def student(better: Sequence[float], worse: Sequence[float]) -> float:
+    """The one-sided p-value that the mean of `better` is not higher.
+
+    This is Student's test of two means with the larger one of the two variances, and the degrees of freedom of the smaller
+    group: the best window is chosen, so that rare failures are missing in it and its own variance is too small. With Welch's
+    test, 3 % of healthy trainings whose episodes have one of two returns raised an alarm. Student's t is transformed to a
+    normal variable, which needs no scipy (D. L. Wallace, Ann. Math. Stat. 30, 1959, p. 1124).
+    """
+    spread = max(variance(better), variance(worse))
+    error = spread * (1 / len(better) + 1 / len(worse))
+    difference, freedom = fmean(better) - fmean(worse), min(len(better), len(worse)) - 1
+    if error <= 0 or freedom < 1:
+        return 0.0 if difference > 0 and freedom >= 1 else 1.0
+    scale = (8 * freedom + 1) / (8 * freedom + 3)
+    z = math.copysign(scale * math.sqrt(freedom * math.log1p(difference**2 / error / freedom)), difference)
+    return NormalDist().cdf(-z)
