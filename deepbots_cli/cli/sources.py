@@ -8,47 +8,29 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deepbots_cli import api
+from deepbots_cli.analysis.changes import WrittenScenario
 from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import Node, Permissions, files, inline_text, shipped
-from deepbots_cli.document.nodes import entries_at, follow_dotted, node_at
+from deepbots_cli.document.nodes import node_at
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.learning.run import Run
-from deepbots_cli.program import Program
 from deepbots_cli.robots import meshes
 from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.rollout.source import Source, SourceKind
 
 
 @dataclass(frozen=True)
-class OpenedSource:
+class OpenedSource(WrittenScenario):
     """A compiled scenario with its text after includes and settings; `run` is the run that it was trained in, if any.
 
     `learner` are the reasons for a learner that deepbots chose, which is part of the program and of the text.
     """
 
-    program: Program
-    root: Node | None
     run: Run | None = None
     findings: Sequence[Finding] = ()
     learner: Sequence[str] = ()
-
-    def text_at(self, path: str) -> str:
-        """What is written at a path, on one line; empty where nothing is. A stage of the curriculum goes by its name."""
-        return text_at(self._written(path))
-
-    def keys_at(self, path: str) -> list[str]:
-        """The keys that are written at a path."""
-        return list(entries_at(self._written(path)))
-
-    def _written(self, path: str) -> Node | None:
-        words = path.split(".")
-        if words[0] == "curriculum" and len(words) > 1:
-            names = [stage.name for stage in self.program.curriculum]
-            return node_at(self.root, "curriculum", names.index(words[1])) if words[1] in names else None
-        _, node, rest = follow_dotted(self.root, path) if self.root else ((), None, path)
-        return None if rest else node
 
 
 def text_at(root: Node | None, *path: str | int) -> str:

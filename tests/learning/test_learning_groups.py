@@ -14,7 +14,7 @@ import pytest
 import stand_in
 
 from deepbots_cli.cli import main
-from deepbots_cli.cli.commands.diff import scenario_changes
+from deepbots_cli.analysis.changes import scenario_changes
 from deepbots_cli.cli.commands.eval import Gates
 from deepbots_cli.cli.sources import open_source
 from deepbots_cli.document import Permissions
