@@ -25,7 +25,7 @@ from deepbots_cli.learning.environments import WorldFactory, reasons_against_bat
 from deepbots_cli.learning.episodes import UNBOUNDED, DrawnBin, Summary, by_drawn_value
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.learner import Learner, Setup
-from deepbots_cli.learning.run import ModelName, Run, in_parentheses, remark_on_episodes
+from deepbots_cli.learning.run import ModelName, ModelRef, Run, in_parentheses, remark_on_episodes
 from deepbots_cli.learning.sb3.algorithms import torch_settings
 from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, Spread, Watcher, results
 from deepbots_cli.learning.statistics import ALPHA
@@ -54,7 +54,7 @@ class EvaluationResult(Summary):
         case: Name of the case; None for the scenario itself. The same holds for `stage`.
         elsewhere: Name of the scenario if it is not that of the training; `set` are the assignments of `--set`, `digest` is its digest.
         agent: Name of the agent whose return is reported.
-        model: `best`, `last`, or the name of a baseline: `random`, `zero`, `script NAME`.
+        model: The name of the model, such as `best` or `last`, or that of a baseline: `random`, `zero`, `script NAME`.
         model_steps: The steps of the training after which the model was saved; None for a baseline.
         confirmation: The number of the confirmation that ended the training, if these are its episodes. The intervals then cover all
             confirmations of the training together.
@@ -110,7 +110,7 @@ class EvaluationResult(Summary):
 
 
 def evaluate(
-    run: Run | str | Path,
+    run: ModelRef | Run | str | Path,
     *,
     episodes: int | None = None,
     seed: int | None = None,
@@ -134,12 +134,12 @@ def evaluate(
     use the same seeds, so they differ only in their settings.
 
     Args:
-        run: The run, or its directory.
+        run: The run, its directory, or the file of a model in it.
         episodes: Number of episodes; by default that of the scenario, or as many as its `solved` asks for if these are more.
         seed: Root seed of the episodes, from 0; by default that of the training, or that of the confirmation which ended the training:
             an evaluation of the best model then repeats it.
         deterministic: Whether the policy takes its most likely action; otherwise it samples actions, also from seeded streams.
-        model: `best` (by evaluations during the training) or `last`.
+        model: The name of the model where `run` names none: `best`, `last`, `step-000020000`.
         scenario: Another scenario to evaluate in, as for `train`; its observation, action and messages must be those of the run.
         case: Name of the case of `evaluation` to evaluate in.
         stage: Name of the stage of the curriculum to evaluate in.
@@ -156,7 +156,9 @@ def evaluate(
         RunError: The folder is not a run, is damaged, or does not match `scenario`; the message lists the differences by field.
         UsageError: A number is out of range.
     """
-    setting = _Setting(run, episodes, seed, scenario, case, stage, permissions, engine, build)
+    ref = ModelRef.open(run, model=model)
+    model = ref.name
+    setting = _Setting(ref.run, episodes, seed, scenario, case, stage, permissions, engine, build)
     policy = _Policy(model, deterministic, copies)
     rounds = math.ceil(setting.episodes / FORWARD_BATCH_SIZE)
     if spread.is_here or rounds == 1:
@@ -396,7 +398,7 @@ class _Setting:
         circumstances += [f"case {self.case}"] if self.case else []
         circumstances += [f"stage {self.stage}"] if self.stage else []
         circumstances += [f"engine {engine}, trained in {run.record.engine}"] if engine not in (None, run.record.engine) else []
-        circumstances += [f"{model} model" if model == "last" else f"actions of {model}"] if model != "best" else []
+        circumstances += [f"{model} model" if run.model(model).is_file() else f"actions of {model}"] if model != "best" else []
         circumstances += ["actions sampled"] if not deterministic else []
         notes = [*run.notes(), *identity.timing_differences(run.program, program)]
         if confirmation is not None:

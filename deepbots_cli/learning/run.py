@@ -8,7 +8,8 @@
     ├── demonstrations.mcap  a copy of the recording that teaches the policy
     ├── monitor.csv          a line per episode
     ├── tensorboard/
-    ├── models/agent/        best.zip, last.zip: models of the learner; step-000020000.zip with --keep-checkpoints
+    ├── models/agent/        best.zip, last.zip: models of the learner; candidate-000000020000.zip of the best evaluations;
+    │                        step-000020000.zip with --keep-checkpoints; earlier-1.zip was the best before `eval --keep`
     ├── evaluations/         training.jsonl, and a file for each later evaluation, with its episodes
     ├── logs/                what callbacks and loggers append
     └── checkpoints/         what a resumed training goes on from
@@ -48,13 +49,14 @@ from deepbots_cli.learning.episodes import SolvedAt
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import ONLY_AGENT
 from deepbots_cli.rollout import Episode
-from deepbots_cli.rollout.source import RECORD_NAME, Source, SourceKind, folder_kind
+from deepbots_cli.rollout.source import MODELS_FOLDER, RECORD_NAME, Source, SourceKind, folder_kind
 
 DEMONSTRATIONS_NAME = "demonstrations.mcap"
 FORMAT = 5
 """Of the run directory as a whole; raised when an older deepbots could no longer read it."""
 
-ModelName = Literal["best", "last"]
+ModelName = str
+"""The name of a file in `models/agent` of a run, without its suffix: `best`, `last`, `candidate-000000020000`, `step-000020000`."""
 Status = Literal["running", "finished", "interrupted", "failed"]
 M = TypeVar("M", bound=BaseModel)
 
@@ -301,8 +303,8 @@ class Run:
     def digest(self) -> str:
         return self.compiled.digest
 
-    def model(self, name: str, agent: str = ONLY_AGENT) -> Path:
-        return self.path / "models" / agent / f"{name}.zip"
+    def model(self, name: ModelName, agent: str = ONLY_AGENT) -> Path:
+        return self.path / MODELS_FOLDER / agent / f"{name}.zip"
 
     @property
     def evaluation_seed(self) -> int:
@@ -381,6 +383,66 @@ class Run:
             lines = "\n  ".join(differences)
             raise RunError(f"{path} was trained with other observations, actions or messages than its scenario defines now:\n  {lines}")
         return Run(path, record, compiled)
+
+
+def has_model(run: Path, name: str) -> bool:
+    """Whether a run has a model of this name, which a file may name."""
+    return re.fullmatch(r"[a-z]+(-[0-9]+)?", name) is not None and (run / MODELS_FOLDER / ONLY_AGENT / f"{name}.zip").is_file()
+
+
+@dataclass(frozen=True)
+class ModelRef:
+    """A model of a run: what everything that acts with the policy of a run takes.
+
+    It is named by the folder of its run (`runs/cartpole-0-1`: the best model), or by its file
+    (`runs/cartpole-0-1/models/agent/last.zip`). Whether the file fits is found out when it is loaded.
+
+    Attributes:
+        run: The run.
+        name: The name of the model.
+        is_named: Whether the file of the model was named, and not its run.
+    """
+
+    run: Run
+    name: ModelName = "best"
+    is_named: bool = False
+
+    @classmethod
+    def open(
+        cls,
+        source: ModelRef | Run | str | Path | Source,
+        permissions: Permissions = Permissions(),
+        *,
+        model: ModelName = "best",
+    ) -> ModelRef:
+        """The model that `source` names; of a run, the one called `model`.
+
+        Raises:
+            RunError: It is neither a run nor a model of a run, or the run cannot be used.
+            UsageError: It is a model, and `model` names another one.
+        """
+        if isinstance(source, Run):
+            return cls(source, model)
+        if isinstance(source, ModelRef):
+            shown, ref = str(source.path), source
+        else:
+            opened = Source.open(source, permissions, SourceKind.RUN, SourceKind.CHECKPOINT)
+            shown = opened.name
+            run = Run.open(Source.kept(opened.path, opened.permissions))
+            ref = cls(run, model if opened.model is None else opened.model, opened.model is not None)
+        if ref.is_named and model != "best":
+            raise UsageError(f"--{model} chooses a model of a run, but {shown} is already a model; leave it out")
+        return ref
+
+    @property
+    def path(self) -> Path:
+        """The file of the model."""
+        return self.run.model(self.name)
+
+    @property
+    def label(self) -> str:
+        """`cartpole-0-1` for the best model, `cartpole-0-1 (last)` for another one."""
+        return self.run.path.name if self.name == "best" else f"{self.run.path.name} ({self.name})"
 
 
 class EvaluationRecord(BaseModel):

@@ -37,7 +37,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.files import check_output
 from deepbots_cli.learning import report
 from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.run import Run, in_parentheses
+from deepbots_cli.learning.run import ModelRef, Run, in_parentheses
 from deepbots_cli.program.identity import task_digest
 from deepbots_cli.rollout.source import Source, SourceKind
 
@@ -174,7 +174,7 @@ def command(
     if episodes == FAILED_EPISODES:
         others = [name for name in given if name not in ("run", "episodes", "force", "as-json", "permissions")]
         _refuse("cannot be combined with --episodes failed, which repeats the last evaluation unchanged", given, others)
-        repeat_failed(Run.open(run), as_json=as_json, permissions=permissions)
+        repeat_failed(ModelRef.open(run, permissions), as_json=as_json, permissions=permissions)
         return
     gates = Gates(min_success, min_return, require_solved)
     _check_files(csv, junit, gates, force=force)

@@ -116,7 +116,7 @@ def _serve_policy(folder: Path, transport: Transport, *, as_json: bool, **settin
     from deepbots_robot.serving import ServeError, nothing_served, serve
 
     with ExitStack() as stack:
-        if folder_kind(folder) is SourceKind.RUN:
+        if folder_kind(folder) is SourceKind.RUN or folder.suffix == ".zip":
             folder = _exported(folder, stack)
         try:
             report = serve(load(folder), transport, note=terminal.note, **settings)
@@ -129,13 +129,14 @@ def _serve_policy(folder: Path, transport: Transport, *, as_json: bool, **settin
 
 
 def _exported(run: Path, stack: ExitStack) -> Path:
-    """The bundle of the best policy of a run, in a folder that lasts as long as `stack`."""
+    """The bundle of the best model of a run, or of a model that is named, in a folder that lasts as long as `stack`."""
     from deepbots_cli.insight.export.bundle import bundle_files
-    from deepbots_cli.learning.run import Run
+    from deepbots_cli.learning.run import ModelRef
 
+    ref = ModelRef.open(run)
     with terminal.transient_line("exporting the policy ..."):
-        folder = Path(stack.enter_context(TemporaryDirectory())) / run.resolve().name
-        for name, content in bundle_files(Run.open(run), "best").items():
+        folder = Path(stack.enter_context(TemporaryDirectory())) / ref.run.path.resolve().name
+        for name, content in bundle_files(ref.run, ref.name).items():
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)

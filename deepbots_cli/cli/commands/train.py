@@ -91,7 +91,12 @@ def command(
         int | None, integer("--keep-checkpoints N", "Keep N models, saved at equal intervals; 0 by default.", 0, 10_000, group=ADVANCED)
     ] = None,
     initialize_from: Annotated[
-        Path | None, option("--initialize-from RUN", "Begin with the weights of the best policy of this run.", ADVANCED)
+        Path | None,
+        option(
+            "--initialize-from RUN|MODEL",
+            "Begin with the weights of the best model of this run, or of a model in it.",
+            ADVANCED,
+        ),
     ] = None,
     callbacks: Annotated[
         list[str] | None,
