@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from deepbots_cli.document import Node, inline_text
 from deepbots_cli.document.nodes import entries_at, follow_dotted, node_at
-from deepbots_cli.expressions.scalar import Const, Draw, Scalar
+from deepbots_cli.expressions.scalar import Const, Draw, Scalar, names_in
 from deepbots_cli.expressions.text import formula_text, value_text
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.resets import JointStart, RandomizedParameter, Reset
@@ -88,10 +88,84 @@ class Change:
         return [f"    {mark} {text or '(not written)'}" for mark, text, absent in sides if self.kind != absent]
 
     @property
+    def text(self) -> str:
+        """The change on one line: `robots.leg.apply.hip: 0.5 * hip -> 0.75 * hip`."""
+        if self.through:
+            return f"{self.path}: {self.by}"
+        sides = [side or "(not written)" for side in (self.one, self.other)]
+        return f"{self.path}: {' -> '.join(sides)}" if self.one or self.other else self.path
+
+    @property
     def by(self) -> str:
         """The parameters that change the meaning of the same text."""
         listed = (f"{name}: {one or '(not written)'} -> {other or '(not written)'}" for name, (one, other) in self.through.items())
         return f"changed by the parameter{'s' * (len(self.through) > 1)} {', '.join(listed)}"
+
+
+@dataclass(frozen=True)
+class Meanings:
+    """The differences between two scenarios that say what of their policies can be compared.
+
+    Attributes:
+        acting: What an observation or an action means: robots, sensors, actuators, `apply`, observation, action, control period. Policies
+            for which these differ need each their own scenario.
+        returns: What a return sums: reward, endings, limits of an episode, goal, control period.
+        success: What a success is.
+    """
+
+    acting: tuple[Change, ...] = ()
+    returns: tuple[Change, ...] = ()
+    success: tuple[Change, ...] = ()
+
+
+_PERIOD = ("world.timestep", "action_repeat", "agent.action_repeat")
+_ACTING = ("robots.", "observation.", "action.", "goal.range", "goal.noise", "agent.frame_stack", *_PERIOD)
+_RETURNS = ("reward.", "termination.", "truncation.", "goal.", *_PERIOD)
+_SUCCESS = ("termination.success.", "goal.")
+
+
+def compared_meanings(one: WrittenScenario, other: WrittenScenario) -> Meanings:
+    """What of the policies of two scenarios can be compared."""
+    changes = [change for change in scenario_changes(one, other) if change.group not in (Effect.cosmetic, Effect.training)]
+    acting, returns, success = set[str](), set[str](), set[str]()
+    for program in (one.program, other.program):
+        agent = program.agent
+        acting |= _names_behind(program, (program.robots, agent.observation, agent.action, agent.goal))
+        returns |= _names_behind(program, (agent.reward, program.endings, agent.goal))
+        endings = tuple(ending for ending in program.endings if ending.name in agent.success)
+        success |= _names_behind(program, (endings, agent.goal))
+
+    def about(prefixes: tuple[str, ...], names: set[str]) -> tuple[Change, ...]:
+        read = {f"{section}.{name}" for name in names for section in ("augment", "signals", "parameters")}
+        return tuple(change for change in changes if change.path.startswith(prefixes) or change.path in read)
+
+    fits = tuple(change for change in changes if change.group is Effect.policy)
+    rest = tuple(change for change in about(_ACTING, acting) if change not in fits)
+    return Meanings(fits + rest, about(_RETURNS, returns), about(_SUCCESS, success))
+
+
+def _names_behind(program: Program, parts: object) -> set[str]:
+    """The names of the signals and parameters that parts of a program read, and of those behind them."""
+    definitions = {entry.name: entry for entry in (*program.signals, *program.parameters)}
+    found: set[str] = set()
+    waiting = set(_names_read(parts))
+    while waiting:
+        name = waiting.pop()
+        if name in definitions and name not in found:
+            found.add(name)
+            waiting |= set(_names_read(definitions[name]))
+    return found
+
+
+def _names_read(part: object) -> Iterator[str]:
+    if isinstance(part, Scalar):
+        yield from (leaf.name for leaf in names_in(part))
+        return
+    members = identity.record_members(part)
+    if members is None and isinstance(part, Mapping):
+        members = dict(part)
+    for inner in part if isinstance(part, tuple) else (members or {}).values():
+        yield from _names_read(inner)
 
 
 _LOOKS_PATH = r"(?=/(?:.*/)?(?:color|visuals)\b)"

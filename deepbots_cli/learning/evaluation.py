@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from itertools import chain, pairwise
@@ -27,10 +27,10 @@ from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.run import ModelName, ModelRef, Run, in_parentheses, remark_on_episodes
 from deepbots_cli.learning.sb3.algorithms import torch_settings
-from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, Spread, Watcher, results
+from deepbots_cli.learning.spread import ONE_BY_ONE, UNWATCHED, Attempt, Spread, Watcher, results
 from deepbots_cli.learning.statistics import ALPHA
 from deepbots_cli.learning.verdict import quoted_episodes, solved_verdict
-from deepbots_cli.program import identity
+from deepbots_cli.program import Program, identity
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import RANDOM, ZERO, named_driver
 from deepbots_cli.rollout.episode import OnEpisode
@@ -204,6 +204,29 @@ def _play_part(part: _Part, attempt: Attempt) -> list[Episode]:
     return _Setting(part.run, **part.options).play(part.numbers, part.policy, lambda done, of: attempt.report(done))
 
 
+def play_models(
+    run: Run,
+    models: Sequence[ModelName],
+    numbers: range,
+    *,
+    watcher: Watcher = UNWATCHED,
+    spread: Spread = ONE_BY_ONE,
+    **options: Any,
+) -> Generator[list[Episode]]:
+    """Episodes of several models of a run from the same held-out starts, for one model after the other.
+
+    Args:
+        run: The run.
+        models: The names of the models.
+        numbers: The numbers of the starts.
+        watcher: Is told of each model that is done.
+        spread: Where the episodes run; the result does not depend on it.
+        options: `seed`, `permissions` and `build`, as for `evaluate`.
+    """
+    calls = [_Part(run, options, numbers, _Policy(model, True, None)) for model in models]
+    return results(spread.map(_play_part, calls, watcher=watcher, files=[run.path / RECORD_NAME]))
+
+
 class _Finished(Watcher):
     """Calls a function with the number of finished episodes of all parts."""
 
@@ -319,6 +342,13 @@ def load_model(run: Run, name: ModelName, world: gym.Env[Any, Any] | None = None
     return found
 
 
+def default_episodes(program: Program, case: str | None) -> int:
+    """The number of episodes of an evaluation: that of the scenario or the case, and as many as `solved` asks for."""
+    if case is not None:
+        return program.case(case).episodes
+    return max(program.evaluation.episodes, program.agent.solved.episodes if program.agent.solved is not None else 0)
+
+
 class _Setting:
     """Where a policy is evaluated, and on which starts.
 
@@ -346,11 +376,9 @@ class _Setting:
         if self.judged is not None and (differences := identity.differences(run.program, program)):
             lines = "\n  ".join(differences)
             raise RunError(f"{run.path} was trained with other observations, actions or messages than {program.name} defines:\n  {lines}")
-        usual = program.evaluation.episodes if case is None else program.case(case).episodes
-        if program.agent.solved is not None and case is None:
-            usual = max(usual, program.agent.solved.episodes)
         self.program, self.case, self.stage = program.variant(case, stage), case, stage
-        self.episodes, self.seed = usual if episodes is None else episodes, run.evaluation_seed if seed is None else seed
+        self.episodes = default_episodes(program, case) if episodes is None else episodes
+        self.seed = run.evaluation_seed if seed is None else seed
         if self.episodes < 1 or self.seed < 0:
             raise UsageError(f"episodes must be at least 1 and the seed at least 0, not {self.episodes} and {self.seed}")
         engine = engine or run.engine_for(self.program)

@@ -73,7 +73,7 @@ _FOLDERS = (INPUTS_FOLDER, "tensorboard", "models", "evaluations", "logs", "chec
 
 PATIENCE = "patience"
 """What `stopped_by` says of a training that did not get better."""
-ChosenBy = Literal["confirmation", "new starts", "evaluation", "return"]
+ChosenBy = Literal["confirmation", "new starts", "evaluation", "return", "hand"]
 
 
 class BestModel(BaseModel):
@@ -83,11 +83,14 @@ class BestModel(BaseModel):
         steps: The steps of the training after which it was saved; None where this was not recorded.
         chosen_by: `confirmation`: it ended the training. `new starts`: the models of the best evaluations played new
             starts. `evaluation`: there was no second model, or the training was interrupted. `return`: by the mean return
-            of an evaluation, in versions before 0.2.
+            of an evaluation, in versions before 0.2. `hand`: a person named it (`eval MODEL --keep`).
         measure: What the task asks for, by which it was chosen.
         episodes: The held-out episodes that chose it, of which the other values are; they are better than those of new
             episodes on average, because they chose it.
         success_rate: None where the scenario defines no success.
+        mean_return: None if a person chose it.
+        evaluation_seed: The root seed of the starts on which `eval --keep` evaluated it after it was chosen, so that they did not choose
+            it.
     """
 
     model_config = ConfigDict(frozen=True, strict=True)
@@ -97,7 +100,8 @@ class BestModel(BaseModel):
     measure: Literal["success_rate", "mean_return"]
     episodes: int | None = None
     success_rate: float | None = None
-    mean_return: float
+    mean_return: float | None = None
+    evaluation_seed: int | None = Field(default=None, ge=0, lt=2**63)
 
     @property
     def text(self) -> str:
@@ -105,6 +109,8 @@ class BestModel(BaseModel):
         after = "" if self.steps is None else f"after {self.steps:,} steps, "
         if self.chosen_by == "return":
             return f"{after}chosen by return in an evaluation, by a version before 0.2"
+        if self.chosen_by == "hand":
+            return f"{after}chosen by hand"
         if self.chosen_by == "confirmation":
             return f"{after}by the confirmation that ended the training"
         where = "on new starts" if self.chosen_by == "new starts" else f"in an evaluation of {self.episodes} episodes"
@@ -308,9 +314,11 @@ class Run:
 
     @property
     def evaluation_seed(self) -> int:
-        """The root seed of an evaluation by default: that of the confirmation which ended the training, so that it is repeated, or else
-        that of the training."""
+        """The root seed of an evaluation by default: that of the evaluation after the best model was kept, or of the confirmation which
+        ended the training, so that it is repeated; or else that of the training."""
         result = self.record.result
+        if result is not None and result.best is not None and result.best.evaluation_seed is not None:
+            return result.best.evaluation_seed
         return self.record.seed if result is None or result.confirmed_seed is None else result.confirmed_seed
 
     def engine_for(self, program: Program) -> str:

@@ -57,6 +57,13 @@ class RunVerdict:
 
     solved: bool | None
     evaluation: EvaluationRecord | None
+    confirmed_after: int | None = None
+    """The steps after which a confirmation showed that the task is solved."""
+
+    @property
+    def solved_after(self) -> int | None:
+        """`confirmed_after` of a run that is solved; a later evaluation with more episodes may say otherwise."""
+        return self.confirmed_after if self.solved else None
 
     @property
     def text(self) -> str:
@@ -73,7 +80,8 @@ def run_verdict(path: Path, record: RunRecord) -> RunVerdict:
     if quoted is None:
         return RunVerdict(None, None)
     _, evaluation = quoted
-    return RunVerdict(evaluation.solved, evaluation)
+    confirmed_at = record.result.confirmed_at if record.result is not None else None
+    return RunVerdict(evaluation.solved, evaluation, confirmed_at.steps if confirmed_at is not None else None)
 
 
 def quoted_evaluation(path: Path, record: RunRecord) -> tuple[Path, EvaluationRecord] | None:

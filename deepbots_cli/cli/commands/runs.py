@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any
 
 import typer
@@ -82,7 +83,8 @@ def command(
             if run.problem is not None:
                 terminal.note(f"{run.path.name}: {run.problem}")
             if run.chosen_by == "return":
-                terminal.note(f"{run.path.name}: a version before 0.2 chose its best model by return; `deepbots eval --keep` chooses anew")
+                command = f"deepbots eval {quote(str(run.path))} --keep"
+                terminal.note(f"{run.path.name}: a version before 0.2 chose its best model by return; choose again with: {command}")
             if run.remarks:
                 terminal.note(f"{run.path.name}: about its evaluation: {'; '.join(run.remarks)}")
     elif scenario is not None or solved or live:
