@@ -54,7 +54,7 @@ class KeptModel:
         run: The run, with its new record.
         name: Which model was chosen.
         best: What the record says of it.
-        earlier: The file of the best model of before; None if it is the same model.
+        earlier: The file of the best model of before; None if it is the same model, or there was none.
         played: The models that played new starts, the best one first; none if a person chose.
     """
 
@@ -116,10 +116,11 @@ def keep(
                 evaluation_seed=evaluation_seed,
             )
         try:
-            earlier = _put_first(run, name)
+            is_same = _is_best(run, name)
+            earlier = None if is_same else _put_first(run, name)
         except OSError as error:
             raise RunError(unwritable_message(run.model("best"), error)) from error
-        if earlier is None:  # what is known of this model stays: its evaluations, and its confirmation
+        if is_same:  # what is known of this model stays: its evaluations, and its confirmation
             run.update(updated=run.record.updated, result=result.model_copy(update={"best": best}))
         else:
             run.update(result=result.model_copy(update={"best": best, "confirmed_seed": None}))
@@ -185,21 +186,22 @@ def _model_count(models: int) -> int:
     return count
 
 
+def _is_best(run: Run, name: ModelName) -> bool:
+    best = run.model("best")
+    return best.is_file() and steps_of(best) == steps_of(run.model(name))
+
+
 def _put_first(run: Run, name: ModelName) -> Path | None:
-    """Make a model the best one; the file of the best model of before, None if it is the same model."""
-    best, source = run.model("best"), run.model(name)
-    steps = steps_of(source)
-    if best.is_file() and steps_of(best) == steps:
-        return None
-    earlier = None
+    """Make a model the best one; the file of the best model of before, if there is one."""
+    best, source, earlier = run.model("best"), run.model(name), None
     if best.is_file():
         number = 1
         while run.model(f"earlier-{number}").exists():
             number += 1
         earlier = run.model(f"earlier-{number}")
         copy_model(best, earlier)
-    checkpoint = run.model(f"step-{steps:09d}")
+    checkpoint = run.model(f"step-{steps_of(source):09d}")
     if name == "last" and not checkpoint.exists():
         copy_model(source, checkpoint)
     copy_model(source, best)
-    return earlier or best
+    return earlier
