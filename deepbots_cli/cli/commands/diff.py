@@ -25,7 +25,8 @@ _HEADINGS = {
 _Side = Annotated[
     str,
     typer.Argument(
-        metavar="SCENARIO|RUN|GROUP", help="A scenario file, the name of a shipped scenario, or the directory of a run or a group."
+        metavar="SCENARIO|RUN|GROUP",
+        help="A scenario file, the name of a shipped scenario, the directory of a run or a group, or a model of a run.",
     ),
 ]
 

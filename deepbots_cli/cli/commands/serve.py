@@ -25,7 +25,10 @@ _LINK = "Link"
 
 def command(
     source: Annotated[
-        str, typer.Argument(metavar="BUNDLE|RUN|SCENARIO", help="A bundle of `export` or a run; with --as-robot a scenario or a run.")
+        str,
+        typer.Argument(
+            metavar="BUNDLE|RUN|MODEL|SCENARIO", help="A bundle of `export`, a run or a model in it; with --as-robot a scenario or a run."
+        ),
     ],
     as_robot: Annotated[bool, option("--as-robot", "Simulate the robot of a scenario: send its sensors and obey commands.")] = False,
     ros: Annotated[bool, option("--ros", "Use ROS 2 topics, by Cyclone DDS; this is the default.", _LINK)] = False,
