@@ -52,7 +52,7 @@ class Paid(stand_in.CartPole):
 
 @pytest.fixture
 def run(tmp_path: Path) -> Run:
-    """A run with three models: of 128, 256 and 448 steps; the last one is the best."""
+    """A run with three models: of 192, 320 and 448 steps; the last one is the best."""
     task = stand_in.compiled(training=SHORT)
     return Run.open(train(task, run=tmp_path / "run", build=stand_in.build, keep_checkpoints=3).run)
 
