@@ -59,6 +59,7 @@ def test_every_command_that_takes_a_policy_takes_a_checkpoint(deepbots: Deepbots
     assert ran.code == 0, ran.err
 
 
+@pytest.mark.slow
 def test_robustness_of_a_checkpoint_is_that_of_the_checkpoint(deepbots: Deepbots, mine: Path) -> None:
     found = json.loads(deepbots("robustness", STEP, "--episodes", "1", "--json").out)
     assert (found["nominal"]["model"], found["nominal"]["model_steps"]) == ("step-000000128", 128)
