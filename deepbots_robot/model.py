@@ -184,10 +184,10 @@ class Scenario(Record, frozen=True):
 
 
 class Training(Record, frozen=True):
-    """How the policy was trained; `versions` are those of packages."""
+    """How the policy was trained; `model` is the name of its file in the run, such as `best`; `versions` are those of packages."""
 
     algorithm: Text
-    model: Literal["best", "last"]
+    model: Name
     seed: int
     steps: int | None
     engine: Text

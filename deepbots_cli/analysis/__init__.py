@@ -7,6 +7,7 @@ ranges.py      the interval of a value, in any step and right after a reset; int
 conditions.py  the comparisons in a condition, the thresholds that they set, endings that hide others
 deployment.py  the readings of the world that a policy needs on a real robot
 returns.py     what the terms of the reward pay in a step and at an end, and the return of an episode
+changes.py     what differs between two scenarios
 """
 
 from __future__ import annotations

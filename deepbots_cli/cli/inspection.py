@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepbots_cli.cli.sources import text_at
-from deepbots_cli.cli.tables import Row, formula_text
+from deepbots_cli.cli.tables import Row
 from deepbots_cli.compiler.learner import CHOSEN
 from deepbots_cli.compiler.robots import joint_moves_link
 from deepbots_cli.diagnostics import Finding
@@ -22,6 +22,7 @@ from deepbots_cli.diagnostics.render import render
 from deepbots_cli.document import Node
 from deepbots_cli.document.nodes import entries_at, node_at
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children, names_in
+from deepbots_cli.expressions.text import formula_text
 from deepbots_cli.footprint import box_sides, resting_height, robot_bounds
 from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.learning.run import Run

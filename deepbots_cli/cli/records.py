@@ -19,12 +19,14 @@ from deepbots_cli.errors import RunError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.episodes import Interval, Summary
 from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import PATIENCE, EvaluationRecord, Run, TrainingResult, in_parentheses
+from deepbots_cli.learning.run import PATIENCE, EvaluationRecord, Run, RunRecord, TrainingResult, in_parentheses
+from deepbots_cli.learning.verdict import run_verdict
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.comparison import EngineDifference, GroupDifference, GroupResult
     from deepbots_cli.learning.evaluation import EvaluationResult
     from deepbots_cli.learning.group import GroupTraining
+    from deepbots_cli.learning.keeping import KeptModel
     from deepbots_cli.learning.robustness import Robustness
     from deepbots_cli.view.frames import WorldFrame
 
@@ -53,7 +55,9 @@ def scores(record: Any, *, success_defined: bool = True, intervals: bool = True)
 
 def differences(entry: GroupDifference | EngineDifference) -> Row:
     """The columns of a difference between two records."""
-    row: dict[str, object] = {"return": entry.mean_return.mean, "return_95 %": interval_text(entry.mean_return.interval)}
+    row: dict[str, object] = dict.fromkeys(("return", "return_95 %", "success", "success_95 %"))
+    if entry.mean_return is not None:
+        row |= {"return": entry.mean_return.mean, "return_95 %": interval_text(entry.mean_return.interval)}
     if entry.success_rate is not None:
         row["success"] = f"{entry.success_rate.mean:+.1%}"
         row["success_95 %"] = interval_text(entry.success_rate.interval, percent)
@@ -192,6 +196,34 @@ def evaluation_json(result: EvaluationResult, cases: Sequence[EvaluationResult] 
     return {**to_json(result), "cases": list(map(to_json, cases))}
 
 
+def kept_text(kept: KeptModel) -> str:
+    """The models that played new starts, and which one is the best from now on."""
+    has_success = kept.run.program.defines_success
+    rows = [
+        {
+            "model": played.name,
+            "after_steps": played.result.steps,
+            "new_starts": played.result.episodes,
+            "success": percent(played.result.success_rate) if has_success else "",
+            "return": played.result.mean_return,
+        }
+        for played in kept.played
+    ]
+    lines = [f"models of {kept.run.path} on new starts, the best first", table(rows)] if rows else []
+    after = "" if kept.best.steps is None else f", after {kept.best.steps:,} steps"
+    if kept.earlier is None:
+        lines.append(f"best.zip stays the best model: {kept.name}{after}")
+    else:
+        lines.append(f"best.zip is now {kept.name}{after}; the best model of before is {kept.earlier.name}")
+    return "\n".join([*lines, "\non further new starts, which did not choose it:"])
+
+
+def kept_json(kept: KeptModel) -> dict[str, Any]:
+    """The same as a dictionary."""
+    played = [{"name": each.name, **each.result.model_dump()} for each in kept.played]
+    return {"model": kept.name, "best": kept.best.model_dump(), "earlier": kept.earlier, "played": played}
+
+
 def summary_text(summary: Summary, *, success_defined: bool) -> str:
     """The same values for episodes without a trained policy."""
     return f"summary of {summary.episodes:,} episodes\n" + row_as_lines(_statistics(summary, success_defined=success_defined))
@@ -239,32 +271,49 @@ def drawn_text(result: EvaluationResult) -> str:
 
 def group_text(group: GroupResult) -> str:
     """A row for each seed, and the statistics over the seeds."""
-    first, count = group.evaluations[0], len(group.evaluations)
-    solved = [result.solved for result in group.evaluations]
+    first, count, has_success = group.evaluations[0], len(group.evaluations), group.success_defined
+    solved = [solved_by(result) for result in group.evaluations]
+    over_starts = {
+        "mean return": with_interval(group.mean_return, group.return_interval_over_starts),
+        "success rate": with_interval(group.success_rate, group.success_interval_over_starts, percent) if has_success else "",
+    }
     rows = {
         "mean return": with_interval(group.mean_return, group.return_interval),
         "interquartile mean": number(group.interquartile_mean),
-        "success rate": with_interval(group.success_rate, group.success_interval, percent) if group.success_defined else "",
+        "success rate": with_interval(group.success_rate, group.success_interval, percent) if has_success else "",
         "solved": "" if None in solved else f"{sum(map(bool, solved))} of {count} seeds",
     }
+    seeds = f"over {count} seed{'' if count == 1 else 's'}"
+    if group.return_interval is not None or group.success_interval is not None:
+        seeds += ": what another training may give; more seeds narrow the intervals"
     notes = [f"no model yet of seed {', '.join(map(str, group.waiting))}"] if group.waiting else []
     notes += [note for attribute in ("notes", "remarks") for result in group.evaluations for note in getattr(result, attribute)]
     return "\n".join(
         [
             f"evaluation of {first.scenario}, group {group.name}: {first.episodes:,} held-out starts of each run, from seed {first.seed}",
             table(evaluation_rows("run", ((result.run.name, result) for result in group.evaluations))),
-            f"over {count} seed{'' if count == 1 else 's'}",
+            seeds,
             row_as_lines(rows),
+            f"over {group.starts:,} starts: what these policies give from other starts; more episodes narrow the intervals",
+            row_as_lines(over_starts),
             *_notes(notes),
         ]
     )
 
 
+def solved_by(result: EvaluationResult) -> bool | None:
+    """Whether a run is solved: by its verdict, or where the evaluation is no usual one of the run, by the evaluation."""
+    if result.circumstances:
+        return result.solved
+    return run_verdict(result.run, RunRecord.read(result.run)).solved
+
+
 def group_json(group: GroupResult) -> dict[str, Any]:
     """A group as a dictionary: its statistics over seeds, and the evaluation of each run."""
-    names = ("name", "waiting", "mean_return", "return_interval", "interquartile_mean", "solved_after")
-    success = ("success_rate", "success_interval") if group.success_defined else ()
-    return {**{name: getattr(group, name) for name in (*names, *success)}, "runs": [to_json(result) for result in group.evaluations]}
+    names = ["name", "waiting", "mean_return", "return_interval", "return_interval_over_starts", "interquartile_mean", "solved_after"]
+    names += ["success_rate", "success_interval", "success_interval_over_starts"] if group.success_defined else []
+    data = {name: getattr(group, name) for name in names}
+    return {**data, "solved": list(map(solved_by, group.evaluations)), "runs": [to_json(result) for result in group.evaluations]}
 
 
 def robustness_text(found: Robustness) -> str:

@@ -8,47 +8,31 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deepbots_cli import api
+from deepbots_cli.analysis.changes import WrittenScenario
 from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import Node, Permissions, files, inline_text, shipped
-from deepbots_cli.document.nodes import entries_at, follow_dotted, node_at
+from deepbots_cli.document.nodes import node_at
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
-from deepbots_cli.learning.run import Run
-from deepbots_cli.program import Program
+from deepbots_cli.learning.run import ModelName, ModelRef, Run
 from deepbots_cli.robots import meshes
 from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.rollout.source import Source, SourceKind
 
 
 @dataclass(frozen=True)
-class OpenedSource:
-    """A compiled scenario with its text after includes and settings; `run` is the run that it was trained in, if any.
+class OpenedSource(WrittenScenario):
+    """A compiled scenario with its text after includes and settings; `run` is the run that it was trained in, if any, and `model`
+    the model of it.
 
     `learner` are the reasons for a learner that deepbots chose, which is part of the program and of the text.
     """
 
-    program: Program
-    root: Node | None
     run: Run | None = None
+    model: ModelName = "best"
     findings: Sequence[Finding] = ()
     learner: Sequence[str] = ()
-
-    def text_at(self, path: str) -> str:
-        """What is written at a path, on one line; empty where nothing is. A stage of the curriculum goes by its name."""
-        return text_at(self._written(path))
-
-    def keys_at(self, path: str) -> list[str]:
-        """The keys that are written at a path."""
-        return list(entries_at(self._written(path)))
-
-    def _written(self, path: str) -> Node | None:
-        words = path.split(".")
-        if words[0] == "curriculum" and len(words) > 1:
-            names = [stage.name for stage in self.program.curriculum]
-            return node_at(self.root, "curriculum", names.index(words[1])) if words[1] in names else None
-        _, node, rest = follow_dotted(self.root, path) if self.root else ((), None, path)
-        return None if rest else node
 
 
 def text_at(root: Node | None, *path: str | int) -> str:
@@ -58,19 +42,20 @@ def text_at(root: Node | None, *path: str | int) -> str:
 
 
 def open_source(source: str, overrides: Sequence[str], permissions: Permissions, engine: str | None = None) -> OpenedSource:
-    """The scenario of a file or of a shipped name, checked for the engine if one is given, or that of the directory of a run or a group.
+    """The scenario of a file or of a shipped name, checked for the engine if one is given, or that of a run, a model
+    of a run, or a group.
 
     Raises:
         UsageError: There is no such file or run.
         ScenarioError: The scenario has errors.
     """
-    opened = Source.open(source, permissions, SourceKind.SCENARIO, SourceKind.RUN, SourceKind.GROUP)
+    opened = Source.open(source, permissions, SourceKind.SCENARIO, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.GROUP)
     if opened.kind is not SourceKind.SCENARIO and overrides:
         kind = "a group" if opened.kind is SourceKind.GROUP else "a run"
         raise UsageError(f"--set works only with a scenario; {source} is {kind}, which cannot be changed after the training")
-    if opened.kind is SourceKind.RUN:
-        run = Run.open(opened)
-        return OpenedSource(run.program, opened.document().root, run, learner=run.record.learner)
+    if opened.kind in (SourceKind.RUN, SourceKind.CHECKPOINT):
+        ref = ModelRef.open(opened)
+        return OpenedSource(ref.run.program, opened.document().root, ref.run, ref.name, learner=ref.run.record.learner)
     checked = opened.checked(overrides=with_engine(overrides, engine) if opened.kind is SourceKind.SCENARIO else ())
     compiled = api.compile(checked)
     with suppress(ScenarioError):  # no algorithm can act in it

@@ -12,15 +12,13 @@ from rich.table import Table
 from rich.text import Text
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.expressions.lower import to_python
-from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
+from deepbots_cli.expressions.text import value_text
 
 Row = Mapping[str, object]
 
 _READABLE = 12
 """The width that a column of text keeps at least: in a narrower one words fall apart."""
 _NUMBERS = (int, float, type(None))
-_MAX_LISTED = 4  # items of a list in one cell, beyond which there are too many to read
 _EMPTY_VALUES: tuple[object, ...] = (None, "", [], ())
 
 
@@ -68,51 +66,5 @@ def _lines(grid: Table, least: int, needed: int, indent: str) -> str:
 
 
 def cell_text(value: object) -> str:
-    """A value as the text of a cell: numbers short, nothing as a dash, lists with commas."""
-    match value:
-        case None:
-            return "-"
-        case Const() | Name() | EngineRead() | Op() | State() | Draw():
-            return formula_text(value)
-        case bool():
-            return "yes" if value else "no"
-        case int():
-            return f"{value:,}"
-        case float():
-            return f"{value:.5g}"
-        case list() | tuple():
-            shown = value if len(value) <= _MAX_LISTED + 1 else value[:_MAX_LISTED]
-            rest = [] if len(shown) == len(value) else [f"... {len(value)} in all"]
-            return ", ".join([*map(cell_text, shown), *rest]) or "-"
-        case _:
-            return terminal.printable(str(value).replace("\n", " ")) or "-"
-
-
-def formula_text(scalar: Scalar, digits: int = 12) -> str:
-    """An expression as the language writes it, with figures in SI units and so many digits."""
-    return to_python(_rounded(scalar, digits), _read)
-
-
-def _rounded(scalar: Scalar, digits: int) -> Scalar:
-    match scalar:
-        case Const(value=float() as value):
-            shown = float(f"{value:.{digits}g}")
-            return Const(int(shown) if shown.is_integer() and abs(shown) < 1e6 else shown)
-        case Op(args=args) | State(args=args) | Draw(args=args):
-            return scalar._replace(args=tuple(_rounded(arg, digits) for arg in args))
-        case _:
-            return scalar
-
-
-_DRAW_SIGNS = {"uniform": " .. ", "integer": " .. ", "normal": " +- ", "choice": " | "}
-
-
-def _read(leaf: Name | EngineRead | State | Draw) -> str:
-    match leaf:
-        case Name(name, component):
-            return f"{name}.{component}" if component else name
-        case EngineRead(function, subjects, component):
-            return f"{function}({', '.join(subjects)})" + (f".{component}" if component else "")
-        case State(name, args) | Draw(name, args):
-            between = _DRAW_SIGNS.get(name, ", ") if isinstance(leaf, Draw) else ", "
-            return f"{name}({between.join(to_python(arg, _read) for arg in args)})"
+    """A value as the text of a cell."""
+    return terminal.printable(value_text(value))

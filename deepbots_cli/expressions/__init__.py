@@ -13,4 +13,5 @@ unification.py  agreement of values with each other and with their field
 check.py        syntax tree to typed tree
 scalar.py       scalar trees: one tree per SI number, as the compiled scenario holds them
 lower.py        typed tree to scalar trees, with constants folded; scalar trees to Python text, for a target
+text.py         values and scalar trees as text for people
 """

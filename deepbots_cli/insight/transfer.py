@@ -534,6 +534,7 @@ def transfer(
     run: Run,
     *,
     engine: str,
+    model: ModelName = "best",
     scenario: Compiled | None = None,
     min_success: float | None = None,
     min_return: float | None = None,
@@ -549,6 +550,7 @@ def transfer(
     Args:
         run: The run.
         engine: The engine of the other world.
+        model: The name of the model.
         scenario: The scenario of the other world; by default that of the run.
         min_success: The success rate that the policy must reach in both worlds, and at the first level of each condition.
         min_return: The same for the mean return.
@@ -565,13 +567,21 @@ def transfer(
     base = Source.kept(run.path, permissions)
     known = api.compile(base.checked())
     root = run.record.seed if seed is None else seed
-    given: dict[str, Any] = {"episodes": episodes, "seed": root, "permissions": permissions}
+    given: dict[str, Any] = {"episodes": episodes, "seed": root, "model": model, "permissions": permissions}
     here = evaluate(run, **given)
     there = evaluate(run, scenario=scenario, engine=engine, **given)
     program = known.program if scenario is None else scenario.program
     worlds = World(known.program, run.record.engine), World(program, engine)
     watch = on_world or (lambda done, planned: None)
-    comparison = compare_worlds(run, *worlds, base_document(base), seed=root, permissions=permissions, on_world=watch)
+    comparison = compare_worlds(
+        run,
+        *worlds,
+        base_document(base),
+        seed=root,
+        model=model,
+        permissions=permissions,
+        on_world=watch,
+    )
     robustness = None
     if with_conditions:
         robustness = evaluate_robustness(run, min_success=min_success, min_return=min_return, on_level=on_world, spread=spread, **given)

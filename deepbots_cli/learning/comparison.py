@@ -11,16 +11,19 @@ from statistics import fmean
 from typing import Any, NamedTuple
 
 from deepbots_cli import api
+from deepbots_cli.analysis.changes import Change, Meanings, WrittenScenario, compared_meanings
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.episodes import Interval
-from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, until_enough
+from deepbots_cli.learning.evaluation import EvaluationResult, default_episodes, evaluate, until_enough
 from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.run import ModelName, Run, run_folders
+from deepbots_cli.learning.order import Measure, measure_of
+from deepbots_cli.learning.run import ModelName, ModelRef, Run, run_folders
 from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, Counter, Spread, results
 from deepbots_cli.learning.statistics import Difference, compare_episodes, compare_seeds, interquartile_mean, mean_interval
+from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.policies import StopCondition
 from deepbots_cli.rollout.source import RECORD_NAME, SourceKind, folder_kind
@@ -79,64 +82,113 @@ class GroupResult:
     def success_interval(self) -> Interval | None:
         return mean_interval(self.success_rates, (0.0, 1.0))
 
+    @property
+    def starts(self) -> int:
+        """The number of starts that every run has played."""
+        return min(result.episodes for result in self.evaluations)
+
+    @property
+    def return_interval_over_starts(self) -> Interval | None:
+        """The interval of the mean return of these policies over other starts: all runs have the same starts, with one score each."""
+        means = self._means_by_start([[episode.total_return for episode in result.outcomes] for result in self.evaluations])
+        return mean_interval(means, self.evaluations[0].possible_returns)
+
+    @property
+    def success_interval_over_starts(self) -> Interval | None:
+        """The same for the success rate."""
+        means = self._means_by_start([[float(episode.is_success) for episode in result.outcomes] for result in self.evaluations])
+        return mean_interval(means, (0.0, 1.0))
+
+    def _means_by_start(self, scores: Sequence[Sequence[float]]) -> list[float]:
+        """The mean over the runs for each start."""
+        return [fmean(row) for row in zip(*(scores_of_run[: self.starts] for scores_of_run in scores), strict=True)]
+
 
 @dataclass(frozen=True)
 class GroupDifference:
-    """A group against the first group: differences of the mean return, and of the success rate if the scenario defines success.
+    """A group against the first group.
 
-    `solved_after` is the difference of the steps until a training was solved, None unless every run of both groups was. `between_seeds`
-    tells whether the interval is one over the seeds of both groups. If not, each group is a single run, and the interval is one over the
-    episodes of these two policies.
+    Attributes:
+        first: Name of the first group.
+        group: Name of the group.
+        measure: What the task asks for; `verdict` is about it.
+        mean_return: The difference of the mean returns; None where the two groups are evaluated in different scenarios whose returns
+            do not mean the same.
+        success_rate: The difference of the success rates; None where a scenario defines no success, or where successes do not mean the
+            same.
+        between_seeds: Whether the intervals are over the seeds of both groups. If not, each group is a single run, and the intervals are
+            over the episodes of these two policies.
+        solved_after: The difference of the steps until a training was solved; None unless every run of both groups was.
+        own_scenarios: Whether each group is evaluated in its own scenario.
+        meanings: The differences of the two scenarios that say what can be compared.
     """
 
     first: str
     group: str
-    mean_return: Difference
+    measure: Measure
+    mean_return: Difference | None
     success_rate: Difference | None
     between_seeds: bool
     solved_after: Difference | None = None
+    own_scenarios: bool = False
+    meanings: Meanings = Meanings()
 
     @property
     def verdict(self) -> str:
-        """The result in a sentence: the returns, and the steps until the task was solved."""
+        """The result in a sentence: what the task asks for, and the steps until it was solved."""
         steps = self.solved_after
         if steps is None or steps.interval is None:
-            return self._verdict_on_returns
+            return self._verdict_on_measure
         difference = f"{abs(steps.mean):,.0f} {'fewer' if steps.mean < 0 else 'more'} steps of training"
         interval = "(95 % interval of the difference: {:,.0f} .. {:,.0f})".format(*steps.interval)
         sooner = f"it is solved after {difference}" if steps.certain else f"it is solved after {difference}, but the interval contains 0"
-        return f"{self._verdict_on_returns}; {sooner} {interval}"
+        return f"{self._verdict_on_measure}; {sooner} {interval}"
 
     @property
-    def _verdict_on_returns(self) -> str:
-        difference = self.mean_return
+    def compared(self) -> Measure | None:
+        """The measure of the verdict: `measure`, or where it cannot be compared the other one; None if neither can."""
+        other: Measure = "mean_return" if self.measure == "success_rate" else "success_rate"
+        return next((name for name in (self.measure, other) if getattr(self, name) is not None), None)
+
+    @property
+    def _verdict_on_measure(self) -> str:
+        compared = self.compared
+        if compared is None:
+            paths = ", ".join(change.path for change in (*self.meanings.returns, *self.meanings.success)[:_MAX_LISTED])
+            return f"{self.group}: cannot be compared with {self.first}, because returns do not mean the same ({paths} differ)"
+        difference: Difference = getattr(self, compared)
+        words = compared.replace("_", " ")
         if difference.interval is None:
             return f"{self.group}: cannot be compared, because a group with one run has no interval; train more seeds"
         low, high = difference.interval
         if low == high == 0:
-            return f"{self.group}: the same mean return in every {'run' if self.between_seeds else 'episode'}"
-        interval = f"(95 % interval of the difference: {low:.4g} .. {high:.4g})"
-        size, sign = f"{abs(difference.mean):.4g}", "higher" if difference.mean >= 0 else "lower"
+            return f"{self.group}: the same {words} in every {'run' if self.between_seeds else 'episode'}"
+        if compared == "success_rate":
+            size, interval = f"{abs(difference.mean) * 100:.1f} points", f"{low:+.1%} .. {high:+.1%}"
+        else:
+            size, interval = f"{abs(difference.mean):.4g}", f"{low:.4g} .. {high:.4g}"
+        interval = f"(95 % interval of the difference: {interval})"
+        sign = "higher" if difference.mean >= 0 else "lower"
         if not difference.certain:
             return (
-                f"{self.group}: no significant difference from {self.first}; the mean return is {size} {sign}, "
+                f"{self.group}: no significant difference from {self.first}; the {words} is {size} {sign}, "
                 f"but the interval contains 0 {interval}"
             )
-        return (
-            f"{self.group} is {'better' if difference.mean > 0 else 'worse'} than {self.first}: the mean return is {size} {sign} {interval}"
-        )
+        return f"{self.group} is {'better' if difference.mean > 0 else 'worse'} than {self.first}: the {words} is {size} {sign} {interval}"
 
 
 @dataclass(frozen=True)
 class Comparison:
     """Groups in the given order, the others compared with the first, and notes on the limits of the comparison.
 
-    `scenario` is the name of the scenario of all episodes, or None if each run is evaluated in its own.
+    `scenario` is the name of the scenario of all episodes, or None if a group is evaluated in its own. `measure` is what the task asks
+    for.
     """
 
     scenario: str | None
     episodes: int
     seed: int
+    measure: Measure
     groups: tuple[GroupResult, ...]
     differences: tuple[GroupDifference, ...]
     notes: tuple[str, ...]
@@ -160,17 +212,23 @@ def compare(
     on_run: OnRun | None = None,
     spread: Spread = ONE_BY_ONE,
 ) -> Comparison:
-    """Evaluate runs on the same starts, and compare them by groups.
+    """Evaluate runs and models of runs on the same starts, and compare them by groups.
 
     The folder of a group (`deepbots train --seeds`) is a group. Other runs of the same scenario, trained in the same engine, are a group:
-    they differ by their seeds only. Any other folder stands for all runs in it. If this makes a single group, each of its runs is a group.
+    they differ by their seeds only. So are models of the same name of such runs. Any other folder stands for all runs in it. If this makes
+    a single group, each of its runs is a group.
+
+    A group is evaluated in the scenario of the first run if observation, action, robots, actuators and `apply` of its own scenario mean the
+    same. Otherwise it is evaluated in its own scenario, from starts with the same seeds, and what does not mean the same in both scenarios
+    is not compared.
 
     Args:
-        runs: Groups, run directories, or folders of run directories; at least two runs.
-        episodes: Episodes of each run; by default the number of the scenario.
+        runs: Groups, run directories, models in them, or folders of run directories; at least two runs or models.
+        episodes: Episodes of each run; by default the number of the scenario of the first run.
         seed: Root seed of the starts, the same for all runs.
-        scenario: The scenario to evaluate in; by default that of the first run. Its interface must be that of every run.
-        own: Whether each run is evaluated in its own scenario instead, such as variants with different observations.
+        model: The name of the model of each run; a model that `runs` names stays.
+        scenario: The scenario to evaluate all runs in. Its interface must be that of every run.
+        own: Whether each run is evaluated in its own scenario, also where they mean the same.
         on_run: Is called after each run.
         spread: Where the evaluations run; the result does not depend on it.
 
@@ -182,22 +240,50 @@ def compare(
     """
     if own and scenario is not None:
         raise UsageError("choose one: evaluate each run in its own scenario (--own), or all runs in one scenario (--scenario)")
-    members = _members([Path(path) for path in runs])
-    opened = [run for group in members for run in group.runs]
+    members = _members([Path(path) for path in runs], model)
+    opened = [ref for group in members for ref in group.models]
     if len(opened) < 2:
         raise UsageError("a comparison needs at least two runs")
-    judged = None if own else opened[0].compiled if scenario is None else api.compile(scenario)
-    given: dict[str, Any] = {"episodes": episodes, "seed": seed, "model": model, "case": case, "permissions": permissions, "build": build}
-    calls = [_Evaluation(run, {**given, "scenario": judged}) for run in opened]
+    first = members[0].models[0].run
+    judged = first.compiled if scenario is None else api.compile(scenario)
+    worlds = [_world(judged, group.models[0].run, own=own, named=scenario is not None) for group in members]
+    count = default_episodes(judged.program, case) if episodes is None else episodes
+    given: dict[str, Any] = {"episodes": count, "seed": seed, "case": case, "permissions": permissions, "build": build}
+    calls = [
+        _Evaluation(ref, given | {"scenario": None if world.own else judged})
+        for group, world in zip(members, worlds, strict=True)
+        for ref in group.models
+    ]
     found = results(spread.map(_evaluate, calls, watcher=Counter(on_run, len(calls)), files=_records(opened)))
     groups = [
-        GroupResult(group.name, tuple(islice(found, len(group.runs))), group.waiting, tuple(map(_solved_after, group.runs)))
+        GroupResult(group.name, tuple(islice(found, len(group.models))), group.waiting, tuple(map(_solved_after, group.models)))
         for group in members
     ]
-    differences = tuple(_difference(groups[0], group) for group in groups[1:])
-    first = groups[0].evaluations[0]
-    notes = _notes(opened, groups, differences, own=own)
-    return Comparison(None if own else first.scenario, first.episodes, seed, tuple(groups), differences, tuple(notes))
+    solved, defines_success = judged.program.agent.solved, judged.program.defines_success
+    measure = measure_of(solved, defines_success=defines_success)
+    differences = tuple(_difference(groups[0], group, measure, world) for group, world in zip(groups[1:], worlds[1:], strict=True))
+    notes = _notes(members, groups, differences, worlds, named=scenario is not None)
+    name = None if any(world.own for world in worlds) else groups[0].evaluations[0].scenario
+    return Comparison(name, groups[0].evaluations[0].episodes, seed, measure, tuple(groups), differences, tuple(notes))
+
+
+class _World(NamedTuple):
+    """Whether a group is evaluated in its own scenario, and how this differs from the scenario of the first group."""
+
+    own: bool
+    meanings: Meanings
+
+
+def _world(judged: Compiled, run: Run, *, own: bool, named: bool) -> _World:
+    """Where to evaluate a group that has trained in the scenario of `run`; `named`: everything is evaluated in `judged`."""
+    meanings = Meanings()
+    if judged.digest != run.digest:
+        meanings = compared_meanings(_written(judged), _written(run.compiled))
+    return _World(own or (bool(meanings.acting) and not named), meanings)
+
+
+def _written(compiled: Compiled) -> WrittenScenario:
+    return WrittenScenario(compiled.program, None if compiled.document is None else compiled.document.root)
 
 
 @dataclass(frozen=True)
@@ -258,7 +344,7 @@ def evaluate_group(
     Raises:
         RunError: The folder is no group, or none of its runs has a model; else as for `evaluate`.
     """
-    members = _open_runs(Group.open(group))
+    members = _open_runs(Group.open(group), options.pop("model", "best"))
     judged = None if scenario is None else api.compile(scenario)
     done: list[EvaluationResult] = []
     before: list[Episode] = []
@@ -268,10 +354,10 @@ def evaluate_group(
 
     given = {**options, "seed": seed, "scenario": judged}
     stops = {"until": enough} if spread.is_here else {}
-    calls = [_Evaluation(run, {**given, **stops}) for run in members.runs]
-    found = results(spread.map(_evaluate, calls, watcher=Counter(on_run, len(calls)), files=_records(members.runs)))
-    for run, result in zip(members.runs, found, strict=False):
-        done.append(result if spread.is_here else until_enough(result, enough, run, **given))
+    calls = [_Evaluation(ref, {**given, **stops}) for ref in members.models]
+    found = results(spread.map(_evaluate, calls, watcher=Counter(on_run, len(calls)), files=_records(members.models)))
+    for ref, result in zip(members.models, found, strict=False):
+        done.append(result if spread.is_here else until_enough(result, enough, ref.run, **given))
         before += done[-1].outcomes
         if enough(()):
             break
@@ -280,49 +366,55 @@ def evaluate_group(
 
 
 class _Evaluation(NamedTuple):
-    """A run, and the further arguments of `evaluate`."""
+    """A model, and the further arguments of `evaluate`."""
 
-    run: Run
+    model: ModelRef
     options: dict[str, Any]
 
 
 def _evaluate(evaluation: _Evaluation, attempt: Attempt) -> EvaluationResult:
-    return evaluate(evaluation.run, **evaluation.options)
+    return evaluate(evaluation.model, **evaluation.options)
 
 
-def _records(runs: Sequence[Run]) -> list[Path]:
-    return [run.path / RECORD_NAME for run in runs]
+def _records(models: Sequence[ModelRef]) -> list[Path]:
+    return [ref.run.path / RECORD_NAME for ref in models]
 
 
 class _GroupMembers(NamedTuple):
     name: str
-    runs: Sequence[Run]
+    models: Sequence[ModelRef]
     waiting: tuple[int, ...] = ()
 
 
-def _members(paths: Sequence[Path]) -> list[_GroupMembers]:
-    """The groups in the order of their first runs; each run once."""
+def _members(paths: Sequence[Path], model: ModelName) -> list[_GroupMembers]:
+    """The groups in the order of their first runs; each model once."""
     found: dict[object, _GroupMembers] = {}
-    single: dict[object, list[Run]] = {}
+    single: dict[object, list[ModelRef]] = {}
     for path in paths:
         if folder_kind(path) is SourceKind.GROUP:
-            found[path] = _open_runs(Group.open(path))
+            found[path] = _open_runs(Group.open(path), model)
             continue
-        for run in map(Run.open, run_folders([path])):
-            alike = single.setdefault((run.record.digest, run.record.engine), [])
-            if run.path not in [other.path for other in alike]:
-                alike.append(run)
-            name = alike[0].path.name + (f" and {len(alike) - 1} more" if len(alike) > 1 else "")
-            found[run.record.digest, run.record.engine] = _GroupMembers(name, alike)
+        for ref in (ModelRef.open(each, model=model) for each in run_folders([path])):
+            key = ref.run.record.digest, ref.run.record.engine, ref.name
+            alike = single.setdefault(key, [])
+            if ref.path not in [other.path for other in alike]:
+                alike.append(ref)
+            name = alike[0].label + (f" and {len(alike) - 1} more" if len(alike) > 1 else "")
+            found[key] = _GroupMembers(name, alike)
     groups = list(found.values())
     if len(groups) == 1:
-        groups = [_GroupMembers(run.path.name, (run,)) for run in groups[0].runs]
+        groups = [_GroupMembers(ref.label, (ref,)) for ref in groups[0].models]
     names = [group.name for group in groups]
-    return [group._replace(name=str(group.runs[0].path)) if names.count(group.name) > 1 else group for group in groups]
+    return [_with_path(group) if names.count(group.name) > 1 else group for group in groups]
 
 
-def _open_runs(group: Group) -> _GroupMembers:
-    """The runs of a group that have a model.
+def _with_path(group: _GroupMembers) -> _GroupMembers:
+    ref = group.models[0]
+    return group._replace(name=str(ref.run.path if ref.name == "best" else ref.path))
+
+
+def _open_runs(group: Group, model: ModelName = "best") -> _GroupMembers:
+    """The models of this name of the runs of a group that have a model.
 
     Raises:
         RunError: There is none, or the runs have different values.
@@ -336,29 +428,49 @@ def _open_runs(group: Group) -> _GroupMembers:
     if not ready:
         raise RunError(f"{group.path} contains no trained run yet; train it with: deepbots train --resume {group.path}")
     waiting = tuple(seed for seed in group.record.seeds if group.run(seed) not in ready)
-    return _GroupMembers(group.path.name, [Run.open(run) for run in ready], waiting)
+    return _GroupMembers(group.path.name, [ModelRef.open(run, model=model) for run in ready], waiting)
 
 
-def _solved_after(run: Run) -> int | None:
-    result = run.record.result
-    return result.confirmed_at.steps if result is not None and result.confirmed_at is not None else None
+def _solved_after(ref: ModelRef) -> int | None:
+    """The steps after which a confirmation showed that the run solves its task; None for another model than the best."""
+    return run_verdict(ref.run.path, ref.run.record).solved_after if ref.name == "best" else None
 
 
-def _difference(first: GroupResult, group: GroupResult) -> GroupDifference:
+def _difference(first: GroupResult, group: GroupResult, measure: Measure, world: _World) -> GroupDifference:
     between_seeds = max(len(first.evaluations), len(group.evaluations)) > 1
-    has_success = first.success_defined and group.success_defined
+    returns: Difference | None
+    success: Difference | None
+    steps = None
     if between_seeds:
+        has_success = first.success_defined and group.success_defined
         success = compare_seeds(first.success_rates, group.success_rates, (0.0, 1.0)) if has_success else None
         returns = compare_seeds(first.returns, group.returns, first.evaluations[0].possible_returns)
         before, after = ([steps for steps in found.solved_after if steps is not None] for found in (first, group))
         all_solved = len(before) + len(after) == len(first.evaluations) + len(group.evaluations)
         steps = compare_seeds(before, after, (0.0, math.inf)) if all_solved else None
-        return GroupDifference(first.name, group.name, returns, success, between_seeds, steps)
-    return GroupDifference(first.name, group.name, *_paired(first.evaluations[0], group.evaluations[0]), between_seeds)
+    else:
+        returns, success = _paired(first.evaluations[0], group.evaluations[0])
+    if world.own:
+        returns = None if world.meanings.returns else returns
+        success = None if world.meanings.success else success
+    return GroupDifference(first.name, group.name, measure, returns, success, between_seeds, steps, world.own, world.meanings)
 
 
-def _notes(runs: Sequence[Run], groups: Sequence[GroupResult], differences: Sequence[GroupDifference], *, own: bool) -> list[str]:
+_MAX_LISTED = 5
+"""Differences of two scenarios that a note lists."""
+
+
+def _notes(
+    members: Sequence[_GroupMembers],
+    groups: Sequence[GroupResult],
+    differences: Sequence[GroupDifference],
+    worlds: Sequence[_World],
+    *,
+    named: bool,
+) -> list[str]:
     notes = [f"{group.name}: no model yet of seed {', '.join(map(str, group.waiting))}" for group in groups if group.waiting]
+    for difference in differences:
+        notes += _notes_on_scenarios(difference, named=named)
     fewest = min(len(group.evaluations) for group in groups)
     if all(not difference.between_seeds for difference in differences):
         notes.append(
@@ -366,11 +478,39 @@ def _notes(runs: Sequence[Run], groups: Sequence[GroupResult], differences: Sequ
         )
     elif fewest < MIN_SEEDS:
         notes.append(f"a group has {fewest} run{'' if fewest == 1 else 's'}: train at least {MIN_SEEDS} seeds of each, better 5")
+    runs = [ref.run for group in members for ref in group.models]
     if len({run.record.engine for run in runs}) > 1:
         notes.append("the runs were trained in different engines; each run is evaluated in its own engine")
-    if len({str([(term.name, term.text) for term in run.program.agent.reward]) for run in runs}) > 1:
-        where = "each run is evaluated in its own scenario" if own else "all runs are evaluated with the reward of the scenario above"
-        notes.append(f"the rewards of the runs differ, and {where}: compare success rates, not returns")
+    shared = [group.models[0].run for group, world in zip(members, worlds, strict=True) if not world.own]
+    if len({str([(term.name, term.text) for term in run.program.agent.reward]) for run in shared}) > 1:
+        notes.append(
+            "the rewards of the runs differ, and all runs are evaluated with the reward of one scenario: compare success rates, not returns"
+        )
     for group in groups:
         notes += dict.fromkeys(f"{group.name}: {note}" for result in group.evaluations for note in result.notes if "trained with" in note)
     return notes
+
+
+def _notes_on_scenarios(difference: GroupDifference, *, named: bool) -> list[str]:
+    """Where the two groups are evaluated, why, and what is therefore not compared."""
+    meanings, names = difference.meanings, f"{difference.first} and {difference.group}"
+    notes = []
+    if meanings.acting and named:
+        notes.append(
+            f"{difference.group} was trained where observations or actions mean something else than here: {_listed(meanings.acting)}"
+        )
+    if not difference.own_scenarios:
+        return notes
+    reason = f", because what policies observe or do differs: {_listed(meanings.acting)}" if meanings.acting else ""
+    notes.append(f"{names} are each evaluated in their own scenario, from starts with the same seeds{reason}")
+    if difference.mean_return is None:
+        notes.append(f"{names}: returns are not compared, because they do not mean the same: {_listed(meanings.returns)}")
+    if meanings.success:
+        notes.append(f"{names}: successes are not compared, because they do not mean the same: {_listed(meanings.success)}")
+    return notes
+
+
+def _listed(changes: Sequence[Change]) -> str:
+    """Changes in the words of `deepbots diff`."""
+    more = f"; and {len(changes) - _MAX_LISTED} more, which `deepbots diff` lists" if len(changes) > _MAX_LISTED else ""
+    return "; ".join(change.text for change in changes[:_MAX_LISTED]) + more

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from itertools import chain, pairwise
@@ -26,12 +26,12 @@ from deepbots_cli.learning.environments import WorldFactory, reasons_against_bat
 from deepbots_cli.learning.episodes import UNBOUNDED, Summary
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.learner import Learner, Setup
-from deepbots_cli.learning.run import ModelName, Run, in_parentheses, remark_on_episodes
+from deepbots_cli.learning.run import ModelName, ModelRef, Run, in_parentheses, remark_on_episodes
 from deepbots_cli.learning.sb3.algorithms import torch_settings
-from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, Spread, Watcher, results
+from deepbots_cli.learning.spread import ONE_BY_ONE, UNWATCHED, Attempt, Spread, Watcher, results
 from deepbots_cli.learning.statistics import ALPHA
 from deepbots_cli.learning.verdict import quoted_episodes, solved_verdict
-from deepbots_cli.program import identity
+from deepbots_cli.program import Program, identity
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import RANDOM, ZERO, named_driver
 from deepbots_cli.rollout.episode import OnEpisode
@@ -55,7 +55,7 @@ class EvaluationResult(Summary):
         case: Name of the case; None for the scenario itself. The same holds for `stage`.
         elsewhere: Name of the scenario if it is not that of the training; `set` are the assignments of `--set`, `digest` is its digest.
         agent: Name of the agent whose return is reported.
-        model: `best`, `last`, or the name of a baseline: `random`, `zero`, `script NAME`.
+        model: The name of the model, such as `best` or `last`, or that of a baseline: `random`, `zero`, `script NAME`.
         model_steps: The steps of the training after which the model was saved; None for a baseline.
         confirmation: The number of the confirmation that ended the training, if these are its episodes. The intervals then cover all
             confirmations of the training together.
@@ -113,7 +113,7 @@ class EvaluationResult(Summary):
 
 
 def evaluate(
-    run: Run | str | Path,
+    run: ModelRef | Run | str | Path,
     *,
     episodes: int | None = None,
     seed: int | None = None,
@@ -137,12 +137,12 @@ def evaluate(
     use the same seeds, so they differ only in their settings.
 
     Args:
-        run: The run, or its directory.
+        run: The run, its directory, or the file of a model in it.
         episodes: Number of episodes; by default that of the scenario, or as many as its `solved` asks for if these are more.
         seed: Root seed of the episodes, from 0; by default that of the training, or that of the confirmation which ended the training:
             an evaluation of the best model then repeats it.
         deterministic: Whether the policy takes its most likely action; otherwise it samples actions, also from seeded streams.
-        model: `best` (by evaluations during the training) or `last`.
+        model: The name of the model where `run` names none: `best`, `last`, `step-000020000`.
         scenario: Another scenario to evaluate in, as for `train`; its observation, action and messages must be those of the run.
         case: Name of the case of `evaluation` to evaluate in.
         stage: Name of the stage of the curriculum to evaluate in.
@@ -159,7 +159,9 @@ def evaluate(
         RunError: The folder is not a run, is damaged, or does not match `scenario`; the message lists the differences by field.
         UsageError: A number is out of range.
     """
-    setting = _Setting(run, episodes, seed, scenario, case, stage, permissions, engine, build)
+    ref = ModelRef.open(run, model=model)
+    model = ref.name
+    setting = _Setting(ref.run, episodes, seed, scenario, case, stage, permissions, engine, build)
     policy = _Policy(model, deterministic, copies)
     rounds = math.ceil(setting.episodes / FORWARD_BATCH_SIZE)
     if spread.is_here or rounds == 1:
@@ -203,6 +205,29 @@ class _Part(NamedTuple):
 
 def _play_part(part: _Part, attempt: Attempt) -> list[Episode]:
     return _Setting(part.run, **part.options).play(part.numbers, part.policy, lambda done, of: attempt.report(done))
+
+
+def play_models(
+    run: Run,
+    models: Sequence[ModelName],
+    numbers: range,
+    *,
+    watcher: Watcher = UNWATCHED,
+    spread: Spread = ONE_BY_ONE,
+    **options: Any,
+) -> Generator[list[Episode]]:
+    """Episodes of several models of a run from the same held-out starts, for one model after the other.
+
+    Args:
+        run: The run.
+        models: The names of the models.
+        numbers: The numbers of the starts.
+        watcher: Is told of each model that is done.
+        spread: Where the episodes run; the result does not depend on it.
+        options: `seed`, `permissions` and `build`, as for `evaluate`.
+    """
+    calls = [_Part(run, options, numbers, _Policy(model, True, None)) for model in models]
+    return results(spread.map(_play_part, calls, watcher=watcher, files=[run.path / RECORD_NAME]))
 
 
 class _Finished(Watcher):
@@ -320,6 +345,13 @@ def load_model(run: Run, name: ModelName, world: gym.Env[Any, Any] | None = None
     return found
 
 
+def default_episodes(program: Program, case: str | None) -> int:
+    """The number of episodes of an evaluation: that of the scenario or the case, and as many as `solved` asks for."""
+    if case is not None:
+        return program.case(case).episodes
+    return max(program.evaluation.episodes, program.agent.solved.episodes if program.agent.solved is not None else 0)
+
+
 class _Setting:
     """Where a policy is evaluated, and on which starts.
 
@@ -347,11 +379,9 @@ class _Setting:
         if self.judged is not None and (differences := identity.differences(run.program, program)):
             lines = "\n  ".join(differences)
             raise RunError(f"{run.path} was trained with other observations, actions or messages than {program.name} defines:\n  {lines}")
-        usual = program.evaluation.episodes if case is None else program.case(case).episodes
-        if program.agent.solved is not None and case is None:
-            usual = max(usual, program.agent.solved.episodes)
         self.program, self.case, self.stage = program.variant(case, stage), case, stage
-        self.episodes, self.seed = usual if episodes is None else episodes, run.evaluation_seed if seed is None else seed
+        self.episodes = default_episodes(program, case) if episodes is None else episodes
+        self.seed = run.evaluation_seed if seed is None else seed
         if self.episodes < 1 or self.seed < 0:
             raise UsageError(f"episodes must be at least 1 and the seed at least 0, not {self.episodes} and {self.seed}")
         engine = engine or run.engine_for(self.program)
@@ -399,7 +429,7 @@ class _Setting:
         circumstances += [f"case {self.case}"] if self.case else []
         circumstances += [f"stage {self.stage}"] if self.stage else []
         circumstances += [f"engine {engine}, trained in {run.record.engine}"] if engine not in (None, run.record.engine) else []
-        circumstances += [f"{model} model" if model == "last" else f"actions of {model}"] if model != "best" else []
+        circumstances += [f"{model} model" if run.model(model).is_file() else f"actions of {model}"] if model != "best" else []
         circumstances += ["actions sampled"] if not deterministic else []
         notes = [*run.notes(), *identity.timing_differences(run.program, program)]
         if confirmation is not None:

@@ -31,6 +31,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
+from deepbots_cli.learning.order import Measure, Rank, measure_of, rank
 from deepbots_cli.learning.report import GroupProgressReporter, GroupReporter, Reporter, TrainingProgress
 from deepbots_cli.learning.run import (
     WORKERS_FOLDER,
@@ -176,18 +177,31 @@ class Group:
 
     @property
     def best_attempt(self) -> int:
-        """The number of the attempt with the best evaluation: solved, then by success rate and mean return; of equals the last one.
+        """The number of the attempt with the best evaluation: solved, then by what the task asks for; of equals the last one.
 
         Raises:
             RunError: A record is damaged.
         """
 
-        def rank(number: int) -> tuple[bool, float, float, int]:
-            verdict = self.attempt_verdict(number)
-            found = verdict.evaluation
-            return (verdict.solved is True, *((found.success_rate or 0.0, found.mean_return) if found else (0.0, -math.inf)), number)
+        verdicts = {number: self.attempt_verdict(number) for number in range(1, len(self.record.attempts) + 1)}
+        evaluations = [verdict.evaluation for verdict in verdicts.values() if verdict.evaluation is not None]
+        measure = self._measure(defines_success=any(evaluation.success_defined for evaluation in evaluations))
 
-        return max(range(1, len(self.record.attempts) + 1), key=rank)
+        def order(number: int) -> tuple[bool, Rank, int]:
+            verdict = verdicts[number]
+            found = verdict.evaluation
+            score = (-math.inf, -math.inf) if found is None else rank(measure, found.success_rate, found.mean_return)
+            return verdict.solved is True, score, number
+
+        return max(verdicts, key=order)
+
+    def _measure(self, *, defines_success: bool) -> Measure:
+        """What the task asks for, as a training has recorded it; nothing is compiled."""
+        for folder in self.runs:
+            result = RunRecord.read(folder).result
+            if result is not None and result.best is not None:
+                return result.best.measure
+        return measure_of(None, defines_success=defines_success)
 
     @property
     def runs_with_model(self) -> list[Path]:

@@ -48,11 +48,11 @@ class ListedRun:
     its members. `score` says what the return and the success rate are of. `evaluation`: the quoted evaluation (`quoted_evaluation`) of
     `evaluated_episodes` episodes; `remarks` say how it differs from a usual one. `training`: the recent episodes of the training, in
     which the policy explores.
-    `solved_after` are the steps after which a confirmation showed that the task is solved, `best_steps` those of the best model, and
-    `chosen_by` says what chose it. `decline` is how far its evaluations fell since; None where they did not. `settings` are the
-    assignments of `--set`, `teacher` is that of `teacher_of`. `success_rate` is None where the scenario defines no success.
-    `solved` is that of `run_verdict`. Of a run that trains, `cpu_seconds` is as old as its last checkpoint. `updated` is a time in
-    UTC, `problem` why the files cannot be read.
+    `solved_after` are the steps after which a confirmation showed that the task is solved, if the run is solved; `best_steps` those
+    of the best model, and `chosen_by` says what chose it. `decline` is how far its evaluations fell since; None where they did not.
+    `settings` are the assignments of `--set`, `teacher` is that of `teacher_of`. `success_rate` is None where the scenario defines no
+    success. `solved` is that of `run_verdict`. Of a run that trains, `cpu_seconds` is as old as its last checkpoint. `updated` is a
+    time in UTC, `problem` why the files cannot be read.
     """
 
     path: Path
@@ -125,7 +125,7 @@ def _listed_run(path: Path) -> ListedRun:
         mean, success = (result.mean_return, result.success_rate) if result else (None, None)
     if evaluation is None and not _defines_success(path):
         success = None
-    confirmed_at, best = (result.confirmed_at, result.best_model) if result else (None, None)
+    best = result.best_model if result else None
     steps_of_best = evaluation.model_steps if evaluation is not None else None
     if steps_of_best is None and best is not None:
         steps_of_best = best.steps
@@ -149,7 +149,7 @@ def _listed_run(path: Path) -> ListedRun:
         evaluated_episodes=evaluation.episodes if evaluation else None,
         remarks=evaluation.remarks if evaluation else (),
         solved=verdict.solved,
-        solved_after=confirmed_at.steps if confirmed_at else None,
+        solved_after=verdict.solved_after,
         best_steps=steps_of_best,
         chosen_by=best.chosen_by if best else None,
         decline=_decline(path, record),

@@ -10,10 +10,11 @@ models of its best evaluations, and plays new starts with them before it chooses
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -96,6 +97,57 @@ class Candidate(BaseModel):
         return rank(measure, self.success_rate, self.mean_return), self.steps
 
 
+def ordered(candidates: Iterable[Candidate], measure: Measure) -> list[Candidate]:
+    """Candidates, the best one first."""
+    return sorted(candidates, key=lambda candidate: candidate.rank(measure), reverse=True)
+
+
+def play_off(
+    candidates: Sequence[Candidate],
+    play: Callable[[Sequence[Candidate], range], Iterable[Sequence[Episode]]],
+    measure: Measure,
+    *,
+    numbers: range = range(FIRST_ROUND),
+    max_steps: float = math.inf,
+) -> tuple[list[Candidate], int]:
+    """Play new starts with candidates, of which the first is the best so far, to find the best one.
+
+    They play the same starts in rounds, the better half of them twice as many in the next round (sequential halving;
+    Z. Karnin, T. Koren, O. Somekh, ICML 2013).
+
+    Args:
+        candidates: Models with the results that they have, each with other steps.
+        play: Takes candidates and the numbers of starts, and returns the episodes of each.
+        measure: What the task asks for.
+        numbers: The starts of the first round.
+        max_steps: No further round begins after that many steps.
+
+    Returns:
+        The candidates with all of their episodes, the best one first; and the number of steps played.
+    """
+    steps = 0
+    remaining = list(candidates)
+    results = {candidate.steps: candidate for candidate in candidates}
+    while len(remaining) > 1 and steps < max_steps:
+        judged = []
+        for candidate, done in zip(remaining, play(remaining, numbers), strict=True):
+            steps += sum(episode.length for episode in done)
+            judged.append(candidate.joined(Summary.of_episodes(done)))
+        results |= {candidate.steps: candidate for candidate in judged}
+        remaining = ordered(judged, measure)[: (len(judged) + 1) // 2]
+        numbers = range(numbers.stop, numbers.stop + 2 * len(numbers))
+    best = remaining[0]
+    others = [candidate for candidate in results.values() if candidate.steps != best.steps]
+    return [best, *ordered(others, measure)], steps
+
+
+def copy_model(source: Path, target: Path) -> None:
+    """Copy the file of a model; the target is replaced whole."""
+    draft = target.with_name(f".{target.stem}.new")
+    shutil.copyfile(source, draft)
+    os.replace(draft, target)
+
+
 class Shortlist:
     """The models of the best evaluations of a training, the best one first; `models/agent/best.zip` is the first one.
 
@@ -156,40 +208,27 @@ class Shortlist:
     def choose(self, play: Callable[[Path, range], Sequence[Episode]], max_steps: float) -> int:
         """Play new starts with the candidates, and keep the best one; returns the number of steps played.
 
-        The candidates play the same starts in rounds, the better half of them twice as many in the next round
-        (sequential halving; Z. Karnin, T. Koren, O. Somekh, ICML 2013).
-
         Args:
             play: Takes the file of a model and the numbers of starts that no evaluation of the training had.
             max_steps: No further round begins after that many steps.
         """
-        steps, first, count = 0, 0, FIRST_ROUND
-        remaining = list(self.candidates)
-        while len(remaining) > 1 and steps < max_steps:
-            judged = []
-            for candidate in remaining:
-                done = play(self.model(candidate), range(first, first + count))
-                steps += sum(episode.length for episode in done)
-                judged.append(candidate.joined(Summary.of_episodes(done)))
-            replaced = {candidate.steps: candidate for candidate in judged}
-            self.candidates = [replaced.get(candidate.steps, candidate) for candidate in self.candidates]
-            remaining = self._ordered(judged)[: (len(judged) + 1) // 2]
-            first, count = first + count, 2 * count
-        if remaining:
-            others = [candidate for candidate in self.candidates if candidate.steps != remaining[0].steps]
-            self.candidates = [remaining[0], *self._ordered(others)]
-            self._copy(remaining[0])
+        if not self.candidates:
+            return 0
+        self.candidates, steps = play_off(
+            self.candidates,
+            lambda candidates, numbers: (play(self.model(candidate), numbers) for candidate in candidates),
+            self.measure,
+            max_steps=max_steps,
+        )
+        self._copy(self.candidates[0])
         return steps
 
     def _ordered(self, candidates: Sequence[Candidate]) -> list[Candidate]:
-        return sorted(candidates, key=lambda candidate: candidate.rank(self.measure), reverse=True)
+        return ordered(candidates, self.measure)
 
     def _copy(self, candidate: Candidate) -> None:
-        """Make a candidate the best model; the file is replaced whole."""
-        best = self._run.model("best")
-        draft = best.with_name(".best.new")
-        shutil.copyfile(self.model(candidate), draft)
-        os.replace(draft, best)
+        """Make a candidate the best model."""
+        copy_model(self.model(candidate), self._run.model("best"))
 
     def _remove_others(self) -> None:
         """Remove the files of models that are no candidates any more."""

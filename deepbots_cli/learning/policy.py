@@ -14,7 +14,7 @@ import torch
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.learner import Learner
-from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.learning.run import ModelName, ModelRef, Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime.observing import Observer
@@ -119,7 +119,7 @@ class Policy:
 
 
 def load_policy(run: str | Path, *, model: ModelName = "best") -> Policy:
-    """Load the policy of a run, `best` (by evaluations during the training) or `last`.
+    """Load the policy of a run: its best model, the one called `model`, or the one whose file `run` names.
 
     Loading unpickles nothing and does not change global random generators. Call `torch.set_num_threads(1)` before your own loop: networks
     of this size are many times slower on several threads. deepbots does not change the number of threads of your process.
@@ -128,8 +128,8 @@ def load_policy(run: str | Path, *, model: ModelName = "best") -> Policy:
         RunError: The folder is not a run, or is damaged.
         MissingExtraError: The extra `train` is not installed.
     """
-    known = Run.open(run)
-    return Policy(known.program, loaded(known, model))
+    ref = ModelRef.open(run, model=model)
+    return Policy(ref.run.program, loaded(ref.run, ref.name))
 
 
 def loaded(run: Run, model: ModelName) -> Learner:

@@ -24,7 +24,7 @@ from deepbots_cli.document.nodes import NodePath, entries_at, node_at, without_p
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
-from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.learning.run import ModelName, ModelRef, Run
 from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, Counter, Spread, results
 from deepbots_cli.program import Program
 from deepbots_cli.rollout.source import RECORD_NAME, Source, SourceKind
@@ -117,7 +117,7 @@ class Robustness:
 
 
 def evaluate_robustness(
-    run: Run | str | Path,
+    run: ModelRef | Run | str | Path,
     *,
     episodes: int | None = None,
     seed: int | None = None,
@@ -142,7 +142,7 @@ def evaluate_robustness(
     a factor.
 
     Args:
-        run: The run, or its directory.
+        run: The run, its directory, or the file of a model in it.
         episodes: Episodes of each level; by default those of the scenario, at most 50.
         scenario: Another scenario to change, by its path or name.
         overrides: Assignments `path=value` for all levels.
@@ -158,14 +158,15 @@ def evaluate_robustness(
         RunError: The folder is not a run, is damaged, or does not match `scenario`.
         UsageError: The scenario does not exist, or nothing with the name `mass_of` has a mass.
     """
-    known = run if isinstance(run, Run) else Run.open(run)
+    ref = ModelRef.open(run, model=model)
+    known = ref.run
     base = Source.kept(known.path, permissions) if scenario is None else Source.open(scenario, permissions, SourceKind.SCENARIO)
     plain = api.compile(base.checked(overrides=overrides))
     program = plain.program.variant(case, stage)
     document = base_document(base, overrides, case, stage)
     usual = plain.program.evaluation.episodes if case is None else plain.program.case(case).episodes
     given: dict[str, Any] = {"episodes": min(EPISODES_PER_LEVEL, usual) if episodes is None else episodes, "case": case, "stage": stage}
-    given |= {"seed": seed, "model": model, "permissions": permissions, **options}
+    given |= {"seed": seed, "model": ref.name, "permissions": permissions, **options}
     planned = list(plans(document.root, program, mass_of)) if document.root is not None else []
     counter = Counter(on_level, 1 + sum(len(levels) for _, levels in planned))
     skipped: dict[str, str] = {}

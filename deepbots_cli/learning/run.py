@@ -8,7 +8,8 @@
     ├── demonstrations.mcap  a copy of the recording that teaches the policy
     ├── monitor.csv          a line per episode
     ├── tensorboard/
-    ├── models/agent/        best.zip, last.zip: models of the learner; step-000020000.zip with --keep-checkpoints
+    ├── models/agent/        best.zip, last.zip: models of the learner; candidate-000000020000.zip of the best evaluations;
+    │                        step-000020000.zip with --keep-checkpoints; earlier-1.zip was the best before `eval --keep`
     ├── evaluations/         training.jsonl, and a file for each later evaluation, with its episodes
     ├── logs/                what callbacks and loggers append
     └── checkpoints/         what a resumed training goes on from
@@ -48,13 +49,14 @@ from deepbots_cli.learning.episodes import SolvedAt
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import ONLY_AGENT
 from deepbots_cli.rollout import Episode
-from deepbots_cli.rollout.source import RECORD_NAME, Source, SourceKind, folder_kind
+from deepbots_cli.rollout.source import MODELS_FOLDER, RECORD_NAME, Source, SourceKind, folder_kind
 
 DEMONSTRATIONS_NAME = "demonstrations.mcap"
 FORMAT = 5
 """Of the run directory as a whole; raised when an older deepbots could no longer read it."""
 
-ModelName = Literal["best", "last"]
+ModelName = str
+"""The name of a file in `models/agent` of a run, without its suffix: `best`, `last`, `candidate-000000020000`, `step-000020000`."""
 Status = Literal["running", "finished", "interrupted", "failed"]
 M = TypeVar("M", bound=BaseModel)
 
@@ -71,7 +73,7 @@ _FOLDERS = (INPUTS_FOLDER, "tensorboard", "models", "evaluations", "logs", "chec
 
 PATIENCE = "patience"
 """What `stopped_by` says of a training that did not get better."""
-ChosenBy = Literal["confirmation", "new starts", "evaluation", "return"]
+ChosenBy = Literal["confirmation", "new starts", "evaluation", "return", "hand"]
 
 
 class BestModel(BaseModel):
@@ -81,11 +83,14 @@ class BestModel(BaseModel):
         steps: The steps of the training after which it was saved; None where this was not recorded.
         chosen_by: `confirmation`: it ended the training. `new starts`: the models of the best evaluations played new
             starts. `evaluation`: there was no second model, or the training was interrupted. `return`: by the mean return
-            of an evaluation, in versions before 0.2.
+            of an evaluation, in versions before 0.2. `hand`: a person named it (`eval MODEL --keep`).
         measure: What the task asks for, by which it was chosen.
         episodes: The held-out episodes that chose it, of which the other values are; they are better than those of new
             episodes on average, because they chose it.
         success_rate: None where the scenario defines no success.
+        mean_return: None if a person chose it.
+        evaluation_seed: The root seed of the starts on which `eval --keep` evaluated it after it was chosen, so that they did not choose
+            it.
     """
 
     model_config = ConfigDict(frozen=True, strict=True)
@@ -95,7 +100,8 @@ class BestModel(BaseModel):
     measure: Literal["success_rate", "mean_return"]
     episodes: int | None = None
     success_rate: float | None = None
-    mean_return: float
+    mean_return: float | None = None
+    evaluation_seed: int | None = Field(default=None, ge=0, lt=2**63)
 
     @property
     def text(self) -> str:
@@ -103,6 +109,8 @@ class BestModel(BaseModel):
         after = "" if self.steps is None else f"after {self.steps:,} steps, "
         if self.chosen_by == "return":
             return f"{after}chosen by return in an evaluation, by a version before 0.2"
+        if self.chosen_by == "hand":
+            return f"{after}chosen by hand"
         if self.chosen_by == "confirmation":
             return f"{after}by the confirmation that ended the training"
         where = "on new starts" if self.chosen_by == "new starts" else f"in an evaluation of {self.episodes} episodes"
@@ -301,14 +309,16 @@ class Run:
     def digest(self) -> str:
         return self.compiled.digest
 
-    def model(self, name: str, agent: str = ONLY_AGENT) -> Path:
-        return self.path / "models" / agent / f"{name}.zip"
+    def model(self, name: ModelName, agent: str = ONLY_AGENT) -> Path:
+        return self.path / MODELS_FOLDER / agent / f"{name}.zip"
 
     @property
     def evaluation_seed(self) -> int:
-        """The root seed of an evaluation by default: that of the confirmation which ended the training, so that it is repeated, or else
-        that of the training."""
+        """The root seed of an evaluation by default: that of the evaluation after the best model was kept, or of the confirmation which
+        ended the training, so that it is repeated; or else that of the training."""
         result = self.record.result
+        if result is not None and result.best is not None and result.best.evaluation_seed is not None:
+            return result.best.evaluation_seed
         return self.record.seed if result is None or result.confirmed_seed is None else result.confirmed_seed
 
     def engine_for(self, program: Program) -> str:
@@ -381,6 +391,66 @@ class Run:
             lines = "\n  ".join(differences)
             raise RunError(f"{path} was trained with other observations, actions or messages than its scenario defines now:\n  {lines}")
         return Run(path, record, compiled)
+
+
+def has_model(run: Path, name: str) -> bool:
+    """Whether a run has a model of this name, which a file may name."""
+    return re.fullmatch(r"[a-z]+(-[0-9]+)?", name) is not None and (run / MODELS_FOLDER / ONLY_AGENT / f"{name}.zip").is_file()
+
+
+@dataclass(frozen=True)
+class ModelRef:
+    """A model of a run: what everything that acts with the policy of a run takes.
+
+    It is named by the folder of its run (`runs/cartpole-0-1`: the best model), or by its file
+    (`runs/cartpole-0-1/models/agent/last.zip`). Whether the file fits is found out when it is loaded.
+
+    Attributes:
+        run: The run.
+        name: The name of the model.
+        is_named: Whether the file of the model was named, and not its run.
+    """
+
+    run: Run
+    name: ModelName = "best"
+    is_named: bool = False
+
+    @classmethod
+    def open(
+        cls,
+        source: ModelRef | Run | str | Path | Source,
+        permissions: Permissions = Permissions(),
+        *,
+        model: ModelName = "best",
+    ) -> ModelRef:
+        """The model that `source` names; of a run, the one called `model`.
+
+        Raises:
+            RunError: It is neither a run nor a model of a run, or the run cannot be used.
+            UsageError: It is a model, and `model` names another one.
+        """
+        if isinstance(source, Run):
+            return cls(source, model)
+        if isinstance(source, ModelRef):
+            shown, ref = str(source.path), source
+        else:
+            opened = Source.open(source, permissions, SourceKind.RUN, SourceKind.CHECKPOINT)
+            shown = opened.name
+            run = Run.open(Source.kept(opened.path, opened.permissions))
+            ref = cls(run, model if opened.model is None else opened.model, opened.model is not None)
+        if ref.is_named and model != "best":
+            raise UsageError(f"--{model} chooses a model of a run, but {shown} is already a model; leave it out")
+        return ref
+
+    @property
+    def path(self) -> Path:
+        """The file of the model."""
+        return self.run.model(self.name)
+
+    @property
+    def label(self) -> str:
+        """`cartpole-0-1` for the best model, `cartpole-0-1 (last)` for another one."""
+        return self.run.path.name if self.name == "best" else f"{self.run.path.name} ({self.name})"
 
 
 class EvaluationRecord(BaseModel):

@@ -50,6 +50,7 @@ from deepbots_cli.learning.run import (
     FORMAT,
     BestModel,
     ChosenBy,
+    ModelRef,
     Run,
     RunRecord,
     RunResult,
@@ -140,7 +141,8 @@ def train(
             starts shows it (`learning.confirmation`).
         stage: Name of the stage of the curriculum in which to begin; by default the first.
         keep_checkpoints: Number of models to keep at equal distances of steps, in addition to the best and the last one.
-        initialize_from: A run whose best policy initializes this one, tensor by tensor if names and shapes are the same.
+        initialize_from: A run whose best model initializes this policy, tensor by tensor if names and shapes are the same; or a model
+            of a run.
         demonstrations: A recording (.mcap) whose episodes teach the policy, in the place of the teacher of the scenario.
         callbacks: Names of callbacks that installed packages register.
         loggers: Names of loggers in addition to TensorBoard: `csv`, and loggers that installed packages register.
@@ -203,7 +205,7 @@ def train(
     with run_lock(path):
         new = Run.create(path, record, compiled)
         if source is not None:
-            shutil.copyfile(source.model("best"), new.model("initial"))
+            shutil.copyfile(source.path, new.model("initial"))
         if demonstrations is not None:
             shutil.copyfile(demonstrations, new.demonstrations)
         on_start(path)
@@ -213,12 +215,12 @@ def train(
         )
 
 
-def checked_settings(program: Program, seeds: Sequence[int], **options: Unpack[TrainingOptions]) -> tuple[Training, Run | None]:
-    """The training with the options of `train`, and the run that initializes it; these checks need no world.
+def checked_settings(program: Program, seeds: Sequence[int], **options: Unpack[TrainingOptions]) -> tuple[Training, ModelRef | None]:
+    """The training with the options of `train`, and the model that initializes it; these checks need no world.
 
     Raises:
         UsageError: An option does not fit the scenario, or names something that does not exist.
-        RunError: `initialize_from` is no run.
+        RunError: `initialize_from` is neither a run nor a model of a run.
     """
     callbacks, loggers, keep_checkpoints = options.get("callbacks", ()), options.get("loggers", ()), options.get("keep_checkpoints", 0)
     training = _training_of(program, options.get("total_timesteps"), callbacks)
@@ -233,7 +235,7 @@ def checked_settings(program: Program, seeds: Sequence[int], **options: Unpack[T
         algorithms.check_teachable(training)
         read_recording(recording, program)
     source = options.get("initialize_from")
-    return training, None if source is None else Run.open(source)
+    return training, None if source is None else ModelRef.open(source)
 
 
 def resume(
@@ -327,7 +329,7 @@ def _training_of(program: Program, total_timesteps: int | None, callbacks: Seque
     return training
 
 
-def _validate_setup(program: Program, training: Training, build: WorldFactory, source: Run | None) -> str | None:
+def _validate_setup(program: Program, training: Training, build: WorldFactory, source: ModelRef | None) -> str | None:
     """Fail before there is a run directory, if a world cannot be built, the algorithm refuses its settings, or no initial tensor fits.
 
     Returns what is taken over from `source`, in words.
@@ -341,11 +343,12 @@ def _validate_setup(program: Program, training: Training, build: WorldFactory, s
             learner.actor()
         if source is None:
             return None
-        found = learner.initialize(source.model("best"))
+        found = learner.initialize(source.path)
+        shown = source.path if source.is_named else source.run.path
         new = ", ".join(f"{name} ({reason})" for name, reason in found.not_copied.items())
-        changed = "; ".join(identity.differences(source.program, program))
+        changed = "; ".join(identity.differences(source.run.program, program))
         return (
-            f"{source.path}: {len(found.copied)} of {len(found.copied) + len(found.not_copied)} tensors"
+            f"{shown}: {len(found.copied)} of {len(found.copied) + len(found.not_copied)} tensors"
             f"{f', new: {new}' if new else ''}{f'; the interface differs: {changed}' if changed else ''}"
         )
 

@@ -11,7 +11,16 @@ from pathlib import Path
 
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.episodes import meets_solved
-from deepbots_cli.learning.run import EvaluationRecord, EvaluationWithEpisodes, Run, RunRecord, is_training, numbered_files
+from deepbots_cli.learning.run import (
+    EvaluationRecord,
+    EvaluationWithEpisodes,
+    ModelRef,
+    Run,
+    RunRecord,
+    has_model,
+    is_training,
+    numbered_files,
+)
 from deepbots_cli.program.task import Solved
 
 
@@ -48,6 +57,13 @@ class RunVerdict:
 
     solved: bool | None
     evaluation: EvaluationRecord | None
+    confirmed_after: int | None = None
+    """The steps after which a confirmation showed that the task is solved."""
+
+    @property
+    def solved_after(self) -> int | None:
+        """`confirmed_after` of a run that is solved; a later evaluation with more episodes may say otherwise."""
+        return self.confirmed_after if self.solved else None
 
     @property
     def text(self) -> str:
@@ -64,7 +80,8 @@ def run_verdict(path: Path, record: RunRecord) -> RunVerdict:
     if quoted is None:
         return RunVerdict(None, None)
     _, evaluation = quoted
-    return RunVerdict(evaluation.solved, evaluation)
+    confirmed_at = record.result.confirmed_at if record.result is not None else None
+    return RunVerdict(evaluation.solved, evaluation, confirmed_at.steps if confirmed_at is not None else None)
 
 
 def quoted_evaluation(path: Path, record: RunRecord) -> tuple[Path, EvaluationRecord] | None:
@@ -92,13 +109,17 @@ def quoted_episodes(run: Run) -> tuple[Path, EvaluationWithEpisodes] | None:
     return _with_episodes(quoted_evaluation(run.path, run.record))
 
 
-def last_episodes(run: Run) -> tuple[Path, EvaluationWithEpisodes] | None:
-    """The last evaluation in the scenario and engine of the training, since the training ended, of either model, also with sampled actions.
+def last_episodes(ref: ModelRef) -> tuple[Path, EvaluationWithEpisodes] | None:
+    """The last evaluation in the scenario and engine of the training, since the training ended, also with sampled actions.
+
+    It is one of the model that was named, or where a run was named, of any of its models.
 
     Raises:
         RunError: It is damaged.
     """
-    found = own_evaluations(run.path, run.record, best_deterministic=False)
+    found = own_evaluations(ref.run.path, ref.run.record, best_deterministic=False)
+    if ref.is_named:
+        found = [(path, evaluation) for path, evaluation in found if evaluation.model == ref.name]
     return _with_episodes(found[-1] if found else None)
 
 
@@ -106,16 +127,24 @@ def own_evaluations(path: Path, record: RunRecord, *, best_deterministic: bool =
     """The evaluations in the scenario and engine of the training, since it ended, by number; unreadable ones are left out.
 
     Args:
-        best_deterministic: Only those of the best model without sampled actions.
+        best_deterministic: Only those of the best model without sampled actions. Otherwise those of all models that the run
+            still has, checkpoints too.
     """
     kept = []
+    best = None if record.result is None else record.result.best_model
+    steps_of_best = None if best is None else best.steps
     for _, file in numbered_files(path / "evaluations"):
         try:
             found = EvaluationRecord.read(file)
         except RunError:
             continue
         own = not (found.set or found.elsewhere or found.case or found.stage) and found.engine in (None, record.engine)
-        acts = found.model == "best" and found.deterministic if best_deterministic else found.model in ("best", "last")
+        if best_deterministic:
+            # `eval --keep` may have replaced the best model.
+            is_present = None in (found.model_steps, steps_of_best) or found.model_steps == steps_of_best
+            acts = found.model == "best" and found.deterministic and is_present
+        else:
+            acts = has_model(path, found.model)
         if own and acts and found.evaluated >= record.updated:
             # The criterion of a changed scenario may be another one.
             kept.append((file, found if _of_training(found, record) else found.model_copy(update={"solved": None})))

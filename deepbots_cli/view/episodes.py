@@ -17,7 +17,7 @@ from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import EngineError, MissingExtraError, RunError, ScenarioError, UsageError
 from deepbots_cli.files import file_stamps
 from deepbots_cli.learning.episodes import read_log
-from deepbots_cli.learning.run import ModelName, Run, RunRecord
+from deepbots_cli.learning.run import ModelName, ModelRef, Run, RunRecord
 from deepbots_cli.port import View
 from deepbots_cli.program import Program, identity
 from deepbots_cli.rollout import Driver, Start, Step, steps
@@ -29,6 +29,7 @@ from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.paths import Ways
 from deepbots_cli.view.frames import FrameReader, WorldFrame
 
+SHOWN_KINDS = (SourceKind.SCENARIO, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.RECORDING)
 _TAIL_BYTES = 20_000  # of a log, which hold its last episode
 
 
@@ -47,7 +48,7 @@ class Showing:
     start: Mapping[str, Any] = field(default_factory=dict, hash=False)
     """The `options` of every reset."""
     model: ModelName = "best"
-    """Of a run that has ended, which model acts; while it is trained, the newest one does."""
+    """Of a run that has ended, which model acts; while it is trained, the newest one does. A model that `reference` names acts always."""
     deterministic: bool = True
     """Whether the policy takes its likeliest action, or samples."""
 
@@ -57,12 +58,13 @@ class Showing:
         Raises:
             UsageError: There is no such file, run, case or stage.
         """
-        source = Source.open(self.reference, self.permissions, SourceKind.SCENARIO, SourceKind.RUN, SourceKind.RECORDING)
+        source = Source.open(self.reference, self.permissions, *SHOWN_KINDS)
         if source.kind is SourceKind.RECORDING:
             return self._open_recording(source.path, is_log=is_robot_log(source.path))
-        run, overrides = None, self.overrides
-        if source.kind is SourceKind.RUN:
-            run = Run.open(source)
+        run, shown, overrides = None, self, self.overrides
+        if source.kind in (SourceKind.RUN, SourceKind.CHECKPOINT):
+            ref = ModelRef.open(source, model=self.model)
+            run, shown = ref.run, replace(self, model=ref.name)
         else:
             overrides = with_engine(overrides, self.engine)
         checked = source.checked(overrides=overrides)
@@ -70,11 +72,11 @@ class Showing:
         try:
             compiled = api.compile(checked)
         except ScenarioError as error:
-            return ShowingState(None, error.findings, files, self, run)
+            return ShowingState(None, error.findings, files, shown, run)
         files |= frozenset(checked.inputs.names) if run is None else files
         parameters = {name: str(value) for name, value in checked.spec.parameters.items()} if checked.spec else {}
         chosen = compiled.program.variant(self.case, self.stage)
-        return ShowingState(chosen, compiled.findings, files, self, run, compiled=compiled, parameters=parameters)
+        return ShowingState(chosen, compiled.findings, files, shown, run, compiled=compiled, parameters=parameters)
 
     def _open_recording(self, path: Path, *, is_log: bool) -> ShowingState:
         from deepbots_cli.rollout.recordings import Recording
@@ -184,7 +186,7 @@ class RunDriver(Driver):
 
     def begin(self, start: Start) -> None:
         running = RunRecord.read(self._run.path).status == "running"
-        names: tuple[ModelName, ...] = ("last", "best") if self._model == "last" else ("best", "last")
+        names = {"best": ("best", "last"), "last": ("last", "best")}.get(self._model, (self._model,))
         found = {name: stamp for name in names if (stamp := file_stamps([path := self._run.model(name)])[path]) is not None}
         name = next(iter(found if not running else sorted(found, key=found.__getitem__, reverse=True)), None)
         if name is not None and found[name] != self._stamp:

@@ -36,7 +36,7 @@ robots:
     sensors: {{pole_angle: {{type: joint_position, joint: pole_hinge}}}}
     actuators: {{wheels: {{type: velocity_motor, joints: [wheel_*], max_torque: 10 N*m}}}}
     emit: [pole_angle]
-    apply: {{wheels: drive * 5 rad/s}}
+    apply: {{wheels: {apply}}}
 messages: {{format: csv}}
 action: {{drive: {action}}}
 augment:
@@ -48,7 +48,7 @@ observation:
   speed: {{range: -{speed_range} .. {speed_range} m/s}}
   cart.pole_angle: -0.35 .. 0.35 rad
   tip_speed: -2 .. 2 m/s
-reward: {{alive: 1, center: 0}}
+reward: {reward}
 termination: {{failure: {{fallen: abs(cart.pole_angle) > 15 deg, off_track: abs(x) > 0.39 m}}{success}}}
 truncation: {{max_steps: {max_steps}}}
 evaluation: {{episodes: 20{cases}}}
@@ -65,6 +65,8 @@ def compiled(
     max_steps: int = 200,
     success: bool = False,
     cases: str = "",
+    apply: str = "drive * 5 rad/s",
+    reward: str = "{alive: 1, center: 0}",
     more: str = "",
 ) -> api.Compiled:
     """The task; `speed_range` is the range of the observed speed in m/s; an episode may end in success,
@@ -73,6 +75,8 @@ def compiled(
     text = TEXT.format(
         name=name,
         action=action,
+        apply=apply,
+        reward=reward,
         speed_range=speed_range,
         max_steps=max_steps,
         success=", success: {balanced: time > 1 h}" if success else "",

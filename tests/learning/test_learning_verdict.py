@@ -14,7 +14,7 @@ from deepbots_cli.cli.records import evaluation_text, interval_text, scores
 from deepbots_cli.learning import evaluate
 from deepbots_cli.learning.listing import read_listed
 from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.verdict import last_episodes, quoted_episodes, quoted_evaluation, run_verdict
 
 
@@ -23,7 +23,7 @@ def test_a_quick_evaluation_does_not_replace_the_one_with_the_most_episodes(run_
     long, quick = (evaluate(run, episodes=count, build=stand_in.build) for count in (12, 3))
     path = run.write_evaluation(to_json(long))
     quick_path = run.write_evaluation(to_json(quick))
-    quoted, last = quoted_episodes(run), last_episodes(run)
+    quoted, last = quoted_episodes(run), last_episodes(ModelRef(run))
     assert quoted is not None
     assert last is not None
     assert (quoted[0], len(quoted[1].outcomes), last[0]) == (path, 12, quick_path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,21 +17,23 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.learning.run import RunRecord, changed_settings, short_settings
 
 if TYPE_CHECKING:
+    from deepbots_cli.analysis.changes import Meanings
     from deepbots_cli.learning.comparison import Comparison, GroupResult
 
 
 def command(
     runs: Annotated[
-        list[Path], typer.Argument(metavar="RUN", help="Groups, run directories, or folders of run directories; at least two runs.")
+        list[Path],
+        typer.Argument(metavar="RUN|MODEL", help="Groups, run directories, models in them, or folders of run directories; at least two."),
     ],
     episodes: Annotated[int | None, integer("--episodes N", "Episodes of each run; by default those of the scenario.")] = None,
     seed: Annotated[int, integer("--seed N", "Root seed of the starts, the same for all runs.", 0, MAX_SEED, group=ADVANCED)] = 0,
     last: Annotated[bool, option("--last", "Compare the last models instead of the best ones.", ADVANCED)] = False,
-    scenario: Annotated[
-        str | None, option("--scenario SCENARIO", "Evaluate in this scenario; by default in the scenario of the first run.")
-    ] = None,
+    scenario: Annotated[str | None, option("--scenario SCENARIO", "Evaluate all of them in this scenario.")] = None,
     case: Annotated[str | None, option("--case NAME", "Evaluate in this case of the scenario.")] = None,
-    own: Annotated[bool, option("--own", "Evaluate each run in its own scenario, for runs with different observations.", ADVANCED)] = False,
+    own: Annotated[
+        bool, option("--own", "Evaluate each run in its own scenario, also where observations and actions mean the same.", ADVANCED)
+    ] = False,
     workers: Workers = None,
     address: ClusterAddress = None,
     as_json: Json = False,
@@ -42,15 +44,20 @@ def command(
     A folder of `deepbots train --seeds` is a group. Single runs of one scenario, trained in the same engine, form a group too. If this
     gives only one group, each of its runs is a group of its own.
 
-    Every run is evaluated in the scenario of the first run, on the same held-out starts, and every group is compared with the first
-    group. For each group, the table shows how much its mean return differs from that of the first group, with a 95 % confidence interval
-    (Welch's, over the seeds). It also shows the probability that a run of the group has a higher mean return than a run of the first group.
-    Two groups of one run each are compared episode by episode: the table then shows the share of the episodes with a higher return than
-    in the first run.
+    Every run is evaluated on the same held-out starts, and every group is compared with the first group. A group is evaluated in the
+    scenario of the first run if its robots, actuators, `apply`, observation and action mean the same there. Otherwise each of the two is
+    evaluated in its own scenario; the command says so and lists what differs. It then leaves out what does not mean the same, such as
+    returns if the rewards differ.
+
+    The verdict is about what the task asks for: the success rate, or the mean return if `solved` asks for one or the scenario defines no
+    success. For each group, the table shows how much it differs from the first group, with a 95 % confidence interval (Welch's, over the
+    seeds). It also shows the probability that a run of the group is better than a run of the first group. Two groups of one run each are
+    compared episode by episode: the table then shows the share of the episodes that are better than in the first run.
 
     \b
       deepbots compare runs/cartpole-0-1 runs/cartpole-1-1
       deepbots compare runs/cartpole-seeds-1 runs/cartpole-seeds-2
+      deepbots compare runs/cartpole-0-1 runs/cartpole-0-1/models/agent/last.zip
       deepbots compare runs/base-* runs/longer_pole-*
       deepbots compare runs/base-* runs/changed-* --episodes 200 --workers 4
 
@@ -77,8 +84,15 @@ def command(
     terminal.show(_data(found), *_lines(found), as_json=as_json)
 
 
+_BETTER = {
+    "success_rate": "a success where the first run has none",
+    "mean_return": "a higher return than in the first run",
+}
+
+
 def _lines(found: Comparison) -> Iterator[str]:
-    where = f"{found.scenario}: " if found.scenario else "each run in its own scenario: "
+    own = any(entry.own_scenarios for entry in found.differences)
+    where = f"{found.scenario}: " if found.scenario else "each run in its own scenario: " if own else ""
     yield f"{where}{found.episodes:,} held-out episodes of each run, from seed {found.seed}"
     has_success = all(group.success_defined for group in found.groups)
     yield table([_row(group, success_defined=has_success) for group in found.groups])
@@ -88,10 +102,11 @@ def _lines(found: Comparison) -> Iterator[str]:
         steps = None if entry.solved_after is None else f"{entry.solved_after.mean:+,.0f}"
         share = "probability_of_improvement" if entry.between_seeds else "episodes_better"
         row = {"group": entry.group, **records.differences(entry), "solved_after_steps": steps}
-        rows.append(row | {share: entry.mean_return.improvement})
+        measured = None if entry.compared is None else getattr(entry, entry.compared)
+        rows.append(row | {share: None if measured is None else measured.improvement})
     yield table(rows)
     if not all(entry.between_seeds for entry in found.differences):
-        yield ("episodes_better: fraction of episodes with a higher return than in the first run; an equal return is counted as one half")
+        yield f"episodes_better: fraction of episodes with {_BETTER[found.measure]}; an equal episode is counted as one half"
     yield from (entry.verdict for entry in found.differences)
     yield from (f"note: {note}" for note in found.notes)
 
@@ -101,6 +116,8 @@ def _row(group: GroupResult, *, success_defined: bool) -> Row:
     count = f" ({len(solved)} of {len(group.solved_after)})" if len(group.solved_after) > 1 else ""
     return {
         "group": group.name,
+        "model": ", ".join(dict.fromkeys(result.model for result in group.evaluations)),
+        "after_steps": _range([result.model_steps for result in group.evaluations if result.model_steps is not None]),
         "set": short_settings(changed_settings(RunRecord.read(group.evaluations[0].run).command)),
         "runs": len(group.evaluations),
         **records.scores(group, success_defined=success_defined),
@@ -109,6 +126,21 @@ def _row(group: GroupResult, *, success_defined: bool) -> Row:
     }
 
 
+def _range(steps: Sequence[int]) -> int | str | None:
+    """The steps of the models of a group: one number if they are the same, else the lowest and the highest."""
+    if not steps:
+        return None
+    return steps[0] if len(set(steps)) == 1 else f"{min(steps):,} .. {max(steps):,}"
+
+
 def _data(found: Comparison) -> dict[str, Any]:
-    differences = [{**vars(entry), "verdict": entry.verdict} for entry in found.differences]
+    differences = [
+        {**vars(entry), "meanings": _paths(entry.meanings), "verdict": entry.verdict, "compared": entry.compared}
+        for entry in found.differences
+    ]
     return {**vars(found), "groups": [records.group_json(group) for group in found.groups], "differences": differences}
+
+
+def _paths(meanings: Meanings) -> dict[str, list[str]]:
+    """The differing places of two scenarios, by what they change."""
+    return {name: [change.path for change in changes] for name, changes in vars(meanings).items()}

@@ -14,7 +14,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, MAX_SEED, AllowCode, Json, integer, option, whole_number
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.verdict import last_episodes
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
 
@@ -36,9 +36,9 @@ def command(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="RUN|GROUP|RECORDING|FAILURE",
-            help="A run directory, the folder of a group, a recording (.mcap), or the file of an episode that raised an error, in"
-            " `failures` of a run.",
+            metavar="RUN|MODEL|GROUP|RECORDING|FAILURE",
+            help="A run directory, with --episode also a model in it, the folder of a group, a recording (.mcap), or the file of an"
+            " episode that raised an error, in `failures` of a run.",
         ),
     ],
     episode: Annotated[
@@ -128,7 +128,7 @@ def _trace(shown: str, episode: int | str | None, seed: int | None, *, last: boo
     from deepbots_cli.view.episodes import Showing
 
     is_failure = shown.endswith(".json")
-    source = None if is_failure else Source.open(shown, permissions, SourceKind.RUN, SourceKind.RECORDING)
+    source = None if is_failure else Source.open(shown, permissions, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.RECORDING)
     is_recording = source is not None and source.kind is SourceKind.RECORDING
     if (is_failure or is_recording) and (seed is not None or last or episode == FAILED_EPISODES):
         raise UsageError("a recording or a failure has its own start and actions; leave out --seed, --last and --episode failed")
@@ -140,30 +140,34 @@ def _trace(shown: str, episode: int | str | None, seed: int | None, *, last: boo
         if episode is not None:
             raise UsageError(f"{shown} contains a single episode; leave out --episode")
         return trace.trace_failure(Path(shown), permissions=permissions)
-    run = Run.open(source)
+    ref = ModelRef.open(source, model="last" if last else "best")
+    run = ref.run
     if episode == FAILED_EPISODES:
         if seed is not None or last:
             raise UsageError("--episode failed repeats the last evaluation; leave out --seed and --last")
-        _, kept = last_evaluation(run)
+        _, kept = last_evaluation(ref)
         failed = kept.failed(run.program)
         if not failed:
             raise UsageError(f"none of the {len(kept.outcomes):,} episodes of the last evaluation of {run.path} failed")
         return next(trace.trace_episodes(run, failed[:1], **kept.replay_options, permissions=permissions))
-    found = last_episodes(run) if seed is None and not last else None
-    options = found[1].replay_options if found else {"seed": run.record.seed if seed is None else seed, "model": "last" if last else "best"}
+    found = last_episodes(ref) if seed is None and not last else None
+    options = found[1].replay_options if found else {"seed": run.record.seed if seed is None else seed, "model": ref.name}
     return next(trace.trace_episodes(run, [int(episode or 0)], **options, permissions=permissions))
 
 
-def last_evaluation(run: Run) -> tuple[Path, EvaluationWithEpisodes]:
-    """The last evaluation of a run in its own scenario and engine, with its episodes.
+def last_evaluation(ref: ModelRef) -> tuple[Path, EvaluationWithEpisodes]:
+    """The last evaluation of a run, or of a model of it that is named, in its own scenario and engine, with its episodes.
 
     Raises:
         UsageError: There is none.
     """
-    found = last_episodes(run)
+    found = last_episodes(ref)
     if found is None:
-        path = quote(str(run.path))
-        raise UsageError(f"{run.path} keeps no evaluation in its own scenario and engine; make one with: deepbots eval {path}")
+        path = ref.path if ref.is_named else ref.run.path
+        of = f" of {ref.name}" if ref.is_named else ""
+        raise UsageError(
+            f"{ref.run.path} keeps no evaluation{of} in its own scenario and engine; make one with: deepbots eval {quote(str(path))}"
+        )
     return found
 
 
@@ -183,12 +187,13 @@ MAX_SHOWN = 10
 """Failed episodes of which `eval --episodes failed` prints the margin."""
 
 
-def repeat_failed(run: Run, *, as_json: bool, permissions: Permissions) -> None:
-    """Repeat the failed episodes of the last evaluation of a run, count their endings, and show the first."""
+def repeat_failed(ref: ModelRef, *, as_json: bool, permissions: Permissions) -> None:
+    """Repeat the failed episodes of the last evaluation of a run or a model, count their endings, and show the first."""
     from deepbots_cli.insight import trace
     from deepbots_cli.insight.episode import explain, explanation_json
 
-    path, kept = last_evaluation(run)
+    path, kept = last_evaluation(ref)
+    run = ref.run
     failed = kept.failed(run.program)
     first = failed[:MAX_SHOWN]
     found = []
@@ -206,7 +211,7 @@ def repeat_failed(run: Run, *, as_json: bool, permissions: Permissions) -> None:
     lines = [f"and {len(failed) - len(first)} more; --json shows all"] if len(failed) > len(first) else []
     lines.append(f"{len(failed)} of {len(kept.outcomes)} episodes of {path} failed")
     lines += [f"  '{ending}' ended {count}" for ending, count in Counter(each["ended_by"] for each in found).most_common()]
-    name = quote(str(run.path))
+    name = quote(str(ref.path if ref.is_named else run.path))
     commands = [f"deepbots diagnose {name} --episode {number}" for number in failed[:1]]
     commands += [f"deepbots render {name} -o failed.mp4 --episodes failed"] if failed else []
     data = {"run": run.path, "evaluation": path, "episodes": len(kept.outcomes), "failed": found}

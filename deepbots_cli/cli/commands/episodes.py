@@ -188,7 +188,7 @@ def _on_robot(
         from deepbots_cli.rollout.policies import PolicyDriver
 
         assert run is not None  # a scenario has a driver
-        return PolicyDriver(policy.loaded(run, "best"), world)
+        return PolicyDriver(policy.loaded(run, source.model), world)
 
     try:
         transport = Transport.at(address)

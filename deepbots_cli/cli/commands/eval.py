@@ -37,7 +37,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.files import check_output
 from deepbots_cli.learning import report
 from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.run import Run, in_parentheses
+from deepbots_cli.learning.run import ModelRef, Run, in_parentheses
 from deepbots_cli.program.identity import task_digest
 from deepbots_cli.rollout.source import Source, SourceKind
 
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
     from deepbots_cli.learning import EvaluationResult, GroupResult
     from deepbots_cli.learning.episodes import Interval
+    from deepbots_cli.learning.keeping import KeptModel
     from deepbots_cli.learning.spread import Spread
     from deepbots_cli.learning.statistics import Verdict
     from deepbots_cli.program import Program
@@ -67,7 +68,7 @@ _REQUIREMENTS = "Requirements"
 
 def command(
     run: Annotated[
-        Path, typer.Argument(metavar="RUN", help="A run directory of `deepbots train`, a model in it, or the folder of a group.")
+        Path, typer.Argument(metavar="RUN|MODEL", help="A run directory of `deepbots train`, a model in it, or the folder of a group.")
     ],
     episodes: Annotated[
         Any,
@@ -118,6 +119,14 @@ def command(
         int | None,
         integer("--seed N", "Root seed of the starts; by default the seed of the training, and 0 for a group.", 0, MAX_SEED, ADVANCED),
     ] = None,
+    keep: Annotated[
+        bool,
+        option(
+            "--keep",
+            "Choose the best model of the run again: the best of its models on new starts, or the model that RUN names.",
+            ADVANCED,
+        ),
+    ] = False,
     last: Annotated[bool, option("--last", "Evaluate the last model instead of the best one.", ADVANCED)] = False,
     stage: Annotated[str | None, option("--stage NAME", "Evaluate in this stage of the curriculum only.", ADVANCED)] = None,
     stochastic: Annotated[
@@ -153,9 +162,14 @@ def command(
     command prints the ending and its margin. If an ending compares a value with a limit, the margin is how far the value is past the limit.
     After a time limit, it prints how near the episode came to a success.
 
+    With --keep, all models of the run play new starts, the better half of them twice as many in each further round. The best one becomes
+    best.zip in the run, and the earlier best one earlier-1.zip. If RUN is a model, this model becomes best.zip. Then the command
+    evaluates the best model on further new starts, which did not choose it. A run that is training is refused.
+
     \b
       deepbots eval runs/cartpole-0-1
       deepbots eval runs/cartpole-0-1/models/agent/last.zip
+      deepbots eval runs/cartpole-0-1 --keep
       deepbots eval runs/cartpole-0-1 --episodes failed
       deepbots eval runs/cartpole-0-1 --baselines
       deepbots eval runs/cartpole-seeds-1 --csv episodes.csv --workers 4
@@ -174,14 +188,15 @@ def command(
     if episodes == FAILED_EPISODES:
         others = [name for name in given if name not in ("run", "episodes", "force", "as-json", "permissions")]
         _refuse("cannot be combined with --episodes failed, which repeats the last evaluation unchanged", given, others)
-        repeat_failed(Run.open(run), as_json=as_json, permissions=permissions)
+        repeat_failed(ModelRef.open(run, permissions), as_json=as_json, permissions=permissions)
         return
     gates = Gates(min_success, min_return, require_solved)
     _check_files(csv, junit, gates, force=force)
     source = Source.open(run, permissions, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.GROUP)
-    if source.model is not None:
-        _refuse(f"chooses a model of a run, but {run} is already a model; leave it out", given, ("last",))
-    chosen: dict[str, Any] = {"episodes": episodes, "model": source.model or ("last" if last else "best")}
+    if keep:
+        judging = ("scenario", "overrides", "case", "stage", "engine", "seed", "last", "stochastic")
+        _refuse("cannot be combined with --keep, which judges models in the scenario of their training", given, judging)
+    chosen: dict[str, Any] = {"episodes": episodes, "model": "last" if last else "best"}
     chosen |= {"permissions": permissions, "deterministic": not stochastic}
     several: Sequence[str | None] = engine or [None]
     if len(several) > 1:
@@ -189,7 +204,7 @@ def command(
     if source.kind is SourceKind.GROUP:
         group = Group.open(source)
         one = f"needs a single run, but {run} is a group; name one of its runs, such as {group.runs[0] if group.runs else run}"
-        _refuse(one, given, single)
+        _refuse(one, given, (*single, "keep"))
         scenarios = [evaluation_scenario(source, group.record.engine, scenario, overrides, name) for name in several]
         chosen |= {"seed": seed or 0, "case": case, "stage": stage}
         count = len(group.runs_with_model)
@@ -197,8 +212,11 @@ def command(
         with processes.spread(workers, address, count) as spread:
             _evaluate_group(run, scenarios, gates, csv=csv, junit=junit, as_json=as_json, spread=spread, **chosen)
         return
-    known = Run.open(source.path)
-    chosen |= {"seed": seed}
+    ref = ModelRef.open(source, model=chosen["model"])
+    kept = _kept(ref, workers, address, permissions, as_json=as_json) if keep else None
+    ref = ref if kept is None else ModelRef(kept.run)
+    known = ref.run
+    chosen |= {"seed": seed, "model": ref.name}
     compiled = [evaluation_scenario(source, known.record.engine, scenario, overrides, name) for name in several]
     programs = [known.program if each is None else each.program for each in compiled]
     for program in programs:
@@ -233,7 +251,8 @@ def command(
     if len(found) > 1:
         _show_engines(known, found, as_json=as_json)
     else:
-        terminal.show(found[0].as_json(), *found[0].lines(details=details), as_json=as_json)
+        data = found[0].as_json() | ({} if kept is None else {"kept": records.kept_json(kept)})
+        terminal.show(data, *found[0].lines(details=details), as_json=as_json)
     _require(requirements, [each.result for each in found], junit)
 
 
@@ -256,6 +275,17 @@ class _EngineEvaluations:
             yield "\nbaselines, on the same starts\n" + table(records.evaluation_rows("policy", policies))
         if details:
             yield "\n" + records.drawn_text(self.result)
+
+
+def _kept(ref: ModelRef, workers: int | None, address: str | None, permissions: Permissions, *, as_json: bool) -> KeptModel:
+    """Choose the best model of a run again, and show how."""
+    with terminal.transient_line("loading the policies ..."):
+        from deepbots_cli.learning.keeping import keep  # which imports torch
+    with processes.spread(workers, address) as spread, terminal.progress("models", always=False) as show_model:
+        kept = keep(ref, permissions=permissions, on_model=show_model, spread=spread)
+    if not as_json:
+        terminal.print_result(records.kept_text(kept))
+    return kept
 
 
 def _refuse(reason: str, given: Container[str], options: Iterable[str]) -> None:

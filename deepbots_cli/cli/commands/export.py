@@ -17,8 +17,9 @@ from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import check_new_folder
-from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.learning.run import ModelRef
 from deepbots_cli.program import identity
+from deepbots_cli.rollout.source import Source, SourceKind
 
 
 class Form(StrEnum):
@@ -29,7 +30,13 @@ class Form(StrEnum):
 
 
 def command(
-    source: Annotated[Path, typer.Argument(metavar="RUN|BUNDLE", help="A run directory, or with --check a folder that `export` wrote.")],
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RUN|MODEL|BUNDLE",
+            help="A run directory, a model in it, or with --check a folder that `export` wrote.",
+        ),
+    ],
     out: Annotated[Path | None, option("--output -o FOLDER", "Folder to write; by default RUN-bundle.")] = None,
     to: Annotated[Form, option("--to", "A bundle, or the files that runners of Isaac Lab, LeRobot or LEAPP read.", ADVANCED)] = Form.bundle,
     force: Force = False,
@@ -73,14 +80,17 @@ def command(
         return
     if overrides or allow_paths:
         raise UsageError("--set and --allow-path need --check SCENARIO; a run is always exported as it was trained")
-    folder = out or Path(f"{source.resolve().name}-{to.value}")
+    model = "last" if last else "best"
+    opened = Source.open(source, Permissions(), SourceKind.RUN, SourceKind.CHECKPOINT)
+    named = "" if opened.model is None else f"-{opened.model}"
+    folder = out or Path(f"{opened.path.resolve().name}{named}-{to.value}")
     check_new_folder(folder, force=force)
-    run = Run.open(source)
+    ref = ModelRef.open(opened, model=model)
     with terminal.transient_line("exporting the policy ..."):
         from deepbots_cli.insight.export import bundle  # torch, which exporting imports, takes a second
 
-        model: ModelName = "last" if last else "best"
-        files = bundle.bundle_files(run, model) if to is Form.bundle else bundle.files_for(run, model, to.value)
+        run = ref.run
+        files = bundle.bundle_files(run, ref.name) if to is Form.bundle else bundle.files_for(run, ref.name, to.value)
     if to is not Form.bundle:
         write_new(files, folder, force=force)
         terminal.show({"folder": folder}, f"{folder}: {', '.join(map(str, files))}", as_json=as_json)
@@ -98,7 +108,7 @@ def command(
     missing = [entry.name for entry in info.inputs if entry.source == "supervisor" and entry.supplied_by is None]
     if missing and not as_json:
         terminal.note(f"no robot measures {', '.join(missing)}; README.md of the bundle says what must supply them")
-    if info.evaluation is None and not last and not as_json:
+    if info.evaluation is None and ref.name == "best" and not as_json:
         terminal.note(f"evaluate the run first for a result in the bundle: deepbots eval {quote(str(source))}")
     next_commands = [f"deepbots serve {quote(str(folder))}", f"deepbots export --check SCENARIO {quote(str(folder))}"]
     terminal.show({"bundle": folder, **plain(info)}, "\n".join(told), as_json=as_json, next_commands=next_commands)

@@ -39,7 +39,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.footprint import resting_height, robot_bounds
 from deepbots_cli.frames import add
-from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.learning.run import ModelName, ModelRef
 from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.model import Pose
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
@@ -195,29 +195,33 @@ def command(
         _draw_robot(shown, file, shot, engine_or_default(engine), permissions)
         terminal.show({"files": [_made(file)]}, str(file), as_json=as_json)
         return
-    opened = Source.open(shown, permissions, SourceKind.SCENARIO, SourceKind.RUN, SourceKind.RECORDING)
+    from deepbots_cli.view.episodes import SHOWN_KINDS, Showing, closing_player
+
+    opened = Source.open(shown, permissions, *SHOWN_KINDS)
     if kind == RECORDING_SUFFIX and opened.kind is SourceKind.RECORDING:
         raise UsageError(f"{shown} is already a recording; `deepbots render {shown} -o video.mp4` makes a video of it")
-    run = Run.open(opened) if opened.kind is SourceKind.RUN else None
-    if last and run is None:
+    is_run = opened.kind in (SourceKind.RUN, SourceKind.CHECKPOINT)
+    ref = ModelRef.open(opened, model="last" if last else "best") if is_run else None
+    if last and ref is None:
         raise UsageError(f"--last chooses a model of a run, but {shown} is not a run")
     if episodes == FAILED_EPISODES:
-        if run is None or last or any(value is not None for value in (seed, episode, driver)):
+        if ref is None or last or any(value is not None for value in (seed, episode, driver)):
             raise UsageError("--episodes failed repeats an evaluation of a run; leave out --seed, --episode, --driver and --last")
-        wanted = _Episodes.failed(run, None if kind == RECORDING_SUFFIX else MAX_FILMS)
+        wanted = _Episodes.failed(ref, None if kind == RECORDING_SUFFIX else MAX_FILMS)
     else:
         first = episode or 0
-        root = seed if seed is not None else run.record.seed if run is not None else 0
-        wanted = _Episodes(root, range(first, first + (episodes or 1)), "last" if last else "best")
+        root = seed or 0
+        if seed is None and ref is not None:
+            root = ref.run.record.seed
+        wanted = _Episodes(root, range(first, first + (episodes or 1)), "best" if ref is None else ref.name)
     files = [file]
     if episodes is not None and kind != RECORDING_SUFFIX:
         files = [file.with_name(f"{file.stem}-{number}{file.suffix}") for number in wanted.numbers]
     for made in files:
         pictures.check_target(made, SUFFIXES, force=force)
-    from deepbots_cli.view.episodes import Showing, closing_player
-
     acts: dict[str, Any] = {"model": wanted.model, "deterministic": wanted.deterministic}
-    source = Showing(shown, overrides or (), permissions, engine, case, stage, start=start_values(start), **acts)
+    reference = shown if ref is None else str(ref.run.path)
+    source = Showing(reference, overrides or (), permissions, engine, case, stage, start=start_values(start), **acts)
     with closing_player(source, driver) as world:
         if kind == RECORDING_SUFFIX:
             ends = _record(world, file, wanted, steps)
@@ -248,16 +252,16 @@ class _Episodes:
     deterministic: bool = True
 
     @staticmethod
-    def failed(run: Run, maximum: int | None) -> _Episodes:
-        """The first failed episodes of the last evaluation of a run.
+    def failed(ref: ModelRef, maximum: int | None) -> _Episodes:
+        """The first failed episodes of the last evaluation of a run, or of one of its models.
 
         Raises:
             UsageError: There is none.
         """
-        _, kept = last_evaluation(run)
-        numbers = kept.failed(run.program)[:maximum]
+        _, kept = last_evaluation(ref)
+        numbers = kept.failed(ref.run.program)[:maximum]
         if not numbers:
-            raise UsageError(f"none of the {len(kept.outcomes):,} episodes of the last evaluation of {run.path} failed")
+            raise UsageError(f"none of the {len(kept.outcomes):,} episodes of the last evaluation of {ref.run.path} failed")
         return _Episodes(numbers=numbers, **kept.replay_options)
 
 

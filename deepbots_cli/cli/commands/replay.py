@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepbots_cli.cli import records, sources, terminal
+from deepbots_cli.analysis.changes import Change, Effect, WrittenScenario, scenario_changes
+from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.command import SCENARIO, Json, Overrides, option
-from deepbots_cli.cli.commands.diff import Change, Effect
-from deepbots_cli.cli.commands.diff import scenario_changes as changes_of_meaning
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
 from deepbots_cli.diagnostics import Findings, Source
@@ -155,14 +154,14 @@ def _elsewhere(opened: ShowingState, scenario: str, overrides: Sequence[str], pe
     if differ:
         raise UsageError(f"the actions of {opened.recording.path} do not fit {scenario}:\n  " + "\n  ".join(differ))
     one, now = (
-        sources.OpenedSource(program, parse(Source("resolved.yaml", text), Findings()))
+        WrittenScenario(program, parse(Source("resolved.yaml", text), Findings()))
         for program, text in ((opened.program, opened.checked().resolved), (other.program, other.checked().resolved))
     )
-    found = [change for change in changes_of_meaning(one, now) if change.group not in (Effect.cosmetic, Effect.training)]
+    found = [change for change in scenario_changes(one, now) if change.group not in (Effect.cosmetic, Effect.training)]
     return other, [line for change in found for line in _told(change, one, now)]
 
 
-def _told(change: Change, one: sources.OpenedSource, other: sources.OpenedSource) -> Iterator[str]:
+def _told(change: Change, one: WrittenScenario, other: WrittenScenario) -> Iterator[str]:
     """The setting that differs and its values on both sides; of a section, the keys in it that differ."""
     if change.through:
         yield f"{change.path}: {change.by}"
@@ -172,7 +171,7 @@ def _told(change: Change, one: sources.OpenedSource, other: sources.OpenedSource
         yield f"{change.path}: recorded {change.one or '(not written)'}, now {change.other or '(not written)'}"
 
 
-def _differing(path: str, one: sources.OpenedSource, other: sources.OpenedSource) -> Iterator[str]:
+def _differing(path: str, one: WrittenScenario, other: WrittenScenario) -> Iterator[str]:
     texts, names = (one.text_at(path), other.text_at(path)), (one.keys_at(path), other.keys_at(path))
     if all(names):
         for name in dict.fromkeys((*names[0], *names[1])):

@@ -24,13 +24,11 @@ from deepbots_cli.cli.command import (
 from deepbots_cli.cli.commands.eval import Gates
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
-from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.run import ModelName, Run
-from deepbots_cli.rollout.source import Source, SourceKind
+from deepbots_cli.learning.run import ModelRef
 
 
 def command(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory of `deepbots train`, or a model in it.")],
+    run: Annotated[Path, typer.Argument(metavar="RUN|MODEL", help="A run directory of `deepbots train`, or a model in it.")],
     episodes: Annotated[
         int | None,
         integer("--episodes N", "Episodes of each evaluation; by default `evaluation.episodes` of the scenario, but at most 50."),
@@ -81,20 +79,15 @@ def command(
 
     Next: train with the condition under which the policy fails, such as `latency` in `messages`.
     """
-    source = Source.open(run, permissions, SourceKind.RUN, SourceKind.CHECKPOINT)
-    if source.model is not None and last:
-        raise UsageError(f"--last chooses a model of a run, but {run} is already a model; leave it out")
-    model: ModelName = "last" if last or source.model == "last" else "best"
-    known, gates = Run.open(source.path), Gates(min_success, min_return, False)
-    gates.check(known.program)
+    ref, gates = ModelRef.open(run, permissions, model="last" if last else "best"), Gates(min_success, min_return, False)
+    gates.check(ref.run.program)
     with terminal.transient_line("loading the policy ..."):
         from deepbots_cli.learning.robustness import evaluate_robustness  # which imports torch
     with processes.spread(workers, address) as spread, terminal.progress("evaluations") as show_level:
         found = evaluate_robustness(
-            known,
+            ref,
             episodes=episodes,
             seed=seed,
-            model=model,
             deterministic=not stochastic,
             scenario=scenario,
             overrides=with_engine(overrides, engine),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any
 
 import typer
@@ -93,7 +94,8 @@ def _notes(run: ListedRun) -> Iterator[str]:
     if run.problem is not None:
         yield f"{name}: {run.problem}"
     if run.chosen_by == "return":
-        yield f"{name}: a version before 0.2 chose its best model by return; `deepbots eval --keep` chooses anew"
+        command = f"deepbots eval {quote(str(run.path))} --keep"
+        yield f"{name}: a version before 0.2 chose its best model by return; choose again with: {command}"
     for inner in (run, *run.runs):
         if inner.decline is not None:
             yield f"{name if inner is run else f'{name}/{inner.path.name}'}: {inner.decline.text}"

@@ -25,7 +25,10 @@ _LINK = "Link"
 
 def command(
     source: Annotated[
-        str, typer.Argument(metavar="BUNDLE|RUN|SCENARIO", help="A bundle of `export` or a run; with --as-robot a scenario or a run.")
+        str,
+        typer.Argument(
+            metavar="BUNDLE|RUN|MODEL|SCENARIO", help="A bundle of `export`, a run or a model in it; with --as-robot a scenario or a run."
+        ),
     ],
     as_robot: Annotated[bool, option("--as-robot", "Simulate the robot of a scenario: send its sensors and obey commands.")] = False,
     ros: Annotated[bool, option("--ros", "Use ROS 2 topics, by Cyclone DDS; this is the default.", _LINK)] = False,
@@ -116,7 +119,7 @@ def _serve_policy(folder: Path, transport: Transport, *, as_json: bool, **settin
     from deepbots_robot.serving import ServeError, nothing_served, serve
 
     with ExitStack() as stack:
-        if folder_kind(folder) is SourceKind.RUN:
+        if folder_kind(folder) is SourceKind.RUN or folder.suffix == ".zip":
             folder = _exported(folder, stack)
         try:
             report = serve(load(folder), transport, note=terminal.note, **settings)
@@ -129,13 +132,14 @@ def _serve_policy(folder: Path, transport: Transport, *, as_json: bool, **settin
 
 
 def _exported(run: Path, stack: ExitStack) -> Path:
-    """The bundle of the best policy of a run, in a folder that lasts as long as `stack`."""
+    """The bundle of the best model of a run, or of a model that is named, in a folder that lasts as long as `stack`."""
     from deepbots_cli.insight.export.bundle import bundle_files
-    from deepbots_cli.learning.run import Run
+    from deepbots_cli.learning.run import ModelRef
 
+    ref = ModelRef.open(run)
     with terminal.transient_line("exporting the policy ..."):
-        folder = Path(stack.enter_context(TemporaryDirectory())) / run.resolve().name
-        for name, content in bundle_files(Run.open(run), "best").items():
+        folder = Path(stack.enter_context(TemporaryDirectory())) / ref.run.path.resolve().name
+        for name, content in bundle_files(ref.run, ref.name).items():
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)

@@ -92,7 +92,12 @@ def command(
         int | None, integer("--keep-checkpoints N", "Keep N models, saved at equal intervals; 0 by default.", 0, 10_000, group=ADVANCED)
     ] = None,
     initialize_from: Annotated[
-        Path | None, option("--initialize-from RUN", "Begin with the weights of the best policy of this run.", ADVANCED)
+        Path | None,
+        option(
+            "--initialize-from RUN|MODEL",
+            "Begin with the weights of the best model of this run, or of a model in it.",
+            ADVANCED,
+        ),
     ] = None,
     callbacks: Annotated[
         list[str] | None,
@@ -159,9 +164,9 @@ def command(
       deepbots train longer_pole.yaml --initialize-from runs/cartpole-0-1
 
     Timesteps are counted over all parallel environments. A resumed training gives the same weights and logs, bit for bit, as a training
-    without interruption. With --resume, --timesteps is the new total, which includes the timesteps so far. --initialize-from RUN copies
-    weights of the best policy of RUN into the new policy: each tensor (array of weights) that has the same name and shape in both. All
-    others begin as usual.
+    without interruption. With --resume, --timesteps is the new total, which includes the timesteps so far. --initialize-from copies
+    weights of the best model of a run, or of the model that you name, into the new policy: each tensor (array of weights) that has the
+    same name and shape in both. All others begin as usual.
 
     Where the scenario names no algorithm, deepbots chooses it, with its hyperparameters, by the structure of the scenario.
 

@@ -19,15 +19,20 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import Run
-from deepbots_cli.rollout.source import Source, SourceKind
+from deepbots_cli.learning.run import ModelRef
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.transfer import Transfer
 
 
 def command(
-    runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Run directories, such as one trained in each engine.")],
+    runs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RUN|MODEL",
+            help="Run directories, such as one trained in each engine, or models in them.",
+        ),
+    ],
     engine: Annotated[
         str | None,
         option("--engine NAME", "The other engine; by default not that of the training.", callback=known_engine),
@@ -74,16 +79,17 @@ def command(
 
     Next: let episodes draw what differs, such as `mass: uniform(0.8 .. 1.2) * urdf` under `links`, and train again.
     """
-    opened = [Run.open(Source.open(path, permissions, SourceKind.RUN).path) for path in runs]
-    for run in opened:
-        Gates(min_success, min_return, False).check(run.program)
+    opened = [ModelRef.open(path, permissions) for path in runs]
+    for ref in opened:
+        Gates(min_success, min_return, False).check(ref.run.program)
     if log is not None:
         _compare_log(opened, log, as_json=as_json, others=(engine, scenario, min_success, min_return))
         return
     with terminal.transient_line("loading the policy ..."):
         from deepbots_cli.insight.transfer import transfer  # which imports torch
     found = []
-    for run in opened:
+    for ref in opened:
+        run = ref.run
         other = engine or (run.record.engine if scenario is not None else _other_engine(run.record.engine))
         if scenario is None and other == run.record.engine:
             raise UsageError(f"{run.path} was trained in {other}; name the other engine with --engine, or another world with --scenario")
@@ -91,6 +97,7 @@ def command(
             found.append(
                 transfer(
                     run,
+                    model=ref.name,
                     engine=other,
                     scenario=None if scenario is None else api.compile(scenario, permissions=permissions),
                     min_success=min_success,
@@ -108,14 +115,14 @@ def command(
         raise typer.Exit(FAILED)
 
 
-def _compare_log(runs: Sequence[Run], path: Path, *, as_json: bool, others: Sequence[object]) -> None:
-    if len(runs) > 1 or any(other is not None for other in others):
+def _compare_log(refs: Sequence[ModelRef], path: Path, *, as_json: bool, others: Sequence[object]) -> None:
+    if len(refs) > 1 or any(other is not None for other in others):
         raise UsageError("--log compares a log with the simulation of one run; leave out other runs, worlds and requirements")
     from deepbots_cli.insight.robot_log import compare_log
 
-    (run,) = runs
+    (ref,) = refs
     with terminal.transient_line("simulating ..."):
-        found = compare_log(run, path, note=terminal.note)
+        found = compare_log(ref.run, path, model=ref.name, note=terminal.note)
     different = [each for each in found if each.is_different]
     rows = [
         {
@@ -128,7 +135,7 @@ def _compare_log(runs: Sequence[Run], path: Path, *, as_json: bool, others: Sequ
         }
         for each in found
     ]
-    lines = [f"{path} beside the simulation of {run.path}: mean ± standard deviation of each input of the policy", table(rows)]
+    lines = [f"{path} beside the simulation of {ref.run.path}: mean ± standard deviation of each input of the policy", table(rows)]
     lines.append(
         "distance: Kolmogorov-Smirnov, from 0 for equal distributions to 1; chance: that of a part of the simulation of this length"
     )

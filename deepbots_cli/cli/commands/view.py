@@ -37,12 +37,16 @@ if TYPE_CHECKING:
 Shown = Annotated[
     str,
     typer.Argument(
-        metavar="SCENARIO|RUN|RECORDING",
-        help="A scenario file, the name of a shipped scenario, a run directory, a recording or the log of a robot.",
+        metavar="SCENARIO|RUN|MODEL|RECORDING",
+        help="A scenario file, the name of a shipped scenario, a run directory, a model in it, a recording or the log of a robot.",
     ),
 ]
 ScenarioOrRun = Annotated[
-    str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario file, the name of a shipped scenario, or a run directory.")
+    str,
+    typer.Argument(
+        metavar="SCENARIO|RUN|MODEL",
+        help="A scenario file, the name of a shipped scenario, a run directory, or a model in it.",
+    ),
 ]
 Host = Annotated[
     str,

@@ -1,0 +1,430 @@
+"""What differs between two compiled scenarios, value by value.
+
+A compiled scenario is flattened to values by path, such as `world/robots/cart/model/links/pole/inertial/mass`. `_PATHS` maps the path of a
+value that differs to its path in the language, `robots.cart.links.pole`, and to the group of the difference. A change holds the texts of
+both scenarios at this path.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any, Literal
+
+from deepbots_cli.document import Node, inline_text
+from deepbots_cli.document.nodes import entries_at, follow_dotted, node_at
+from deepbots_cli.expressions.scalar import Const, Draw, Scalar, names_in
+from deepbots_cli.expressions.text import formula_text, value_text
+from deepbots_cli.program import Program, identity
+from deepbots_cli.program.resets import JointStart, RandomizedParameter, Reset
+from deepbots_cli.program.robots import Robot, Route
+from deepbots_cli.program.task import Agent, Network, Training, Truncation
+from deepbots_cli.program.world import RobotBody, WorldModel
+from deepbots_cli.robots.model import RobotModel
+
+Kind = Literal["changed", "added", "removed"]
+APPEARANCE_PREFIX = "look of "
+
+
+class Effect(StrEnum):
+    """The effect of a difference, the most serious first."""
+
+    policy = "policy"
+    task = "task"
+    world = "world"
+    training = "training"
+    cosmetic = "cosmetic"
+
+
+@dataclass(frozen=True)
+class WrittenScenario:
+    """A compiled scenario with its text after includes and settings; `root` is None where there is no text."""
+
+    program: Program
+    root: Node | None
+
+    def text_at(self, path: str) -> str:
+        """What is written at a path, on one line; empty where nothing is. A stage of the curriculum goes by its name."""
+        node = self._written(path)
+        return "" if node is None else inline_text(node)
+
+    def keys_at(self, path: str) -> list[str]:
+        """The keys that are written at a path."""
+        return list(entries_at(self._written(path)))
+
+    def _written(self, path: str) -> Node | None:
+        words = path.split(".")
+        if words[0] == "curriculum" and len(words) > 1:
+            names = [stage.name for stage in self.program.curriculum]
+            return node_at(self.root, "curriculum", names.index(words[1])) if words[1] in names else None
+        _, node, rest = follow_dotted(self.root, path) if self.root else ((), None, path)
+        return None if rest else node
+
+
+@dataclass(frozen=True)
+class Change:
+    """`one` and `other` are the texts of both sides.
+
+    Where they are the same, `through` has the parameters that differ in them, and the texts of each on both sides.
+    """
+
+    path: str
+    group: Effect
+    kind: Kind
+    one: str
+    other: str
+    through: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+
+    @property
+    def lines(self) -> list[str]:
+        """The texts of both sides, or the text of both and what changes its meaning."""
+        if self.through:
+            return [f"      {self.one}", f"      {self.by}"]
+        if self.kind == "changed" and not (self.one or self.other):
+            return []
+        sides = (("-", self.one, "added"), ("+", self.other, "removed"))
+        return [f"    {mark} {text or '(not written)'}" for mark, text, absent in sides if self.kind != absent]
+
+    @property
+    def text(self) -> str:
+        """The change on one line: `robots.leg.apply.hip: 0.5 * hip -> 0.75 * hip`."""
+        if self.through:
+            return f"{self.path}: {self.by}"
+        sides = [side or "(not written)" for side in (self.one, self.other)]
+        return f"{self.path}: {' -> '.join(sides)}" if self.one or self.other else self.path
+
+    @property
+    def by(self) -> str:
+        """The parameters that change the meaning of the same text."""
+        listed = (f"{name}: {one or '(not written)'} -> {other or '(not written)'}" for name, (one, other) in self.through.items())
+        return f"changed by the parameter{'s' * (len(self.through) > 1)} {', '.join(listed)}"
+
+
+@dataclass(frozen=True)
+class Meanings:
+    """The differences between two scenarios that say what of their policies can be compared.
+
+    Attributes:
+        acting: What an observation or an action means: robots, sensors, actuators, `apply`, observation, action, control period. Policies
+            for which these differ need each their own scenario.
+        returns: What a return sums: reward, endings, limits of an episode, goal, control period.
+        success: What a success is.
+    """
+
+    acting: tuple[Change, ...] = ()
+    returns: tuple[Change, ...] = ()
+    success: tuple[Change, ...] = ()
+
+
+_PERIOD = ("world.timestep", "action_repeat", "agent.action_repeat")
+_ACTING = ("robots.", "observation.", "action.", "goal.range", "goal.noise", "agent.frame_stack", *_PERIOD)
+_RETURNS = ("reward.", "termination.", "truncation.", "goal.", *_PERIOD)
+_SUCCESS = ("termination.success.", "goal.")
+
+
+def compared_meanings(one: WrittenScenario, other: WrittenScenario) -> Meanings:
+    """What of the policies of two scenarios can be compared."""
+    changes = [change for change in scenario_changes(one, other) if change.group not in (Effect.cosmetic, Effect.training)]
+    acting, returns, success = set[str](), set[str](), set[str]()
+    for program in (one.program, other.program):
+        agent = program.agent
+        acting |= _names_behind(program, (program.robots, agent.observation, agent.action, agent.goal))
+        returns |= _names_behind(program, (agent.reward, program.endings, agent.goal))
+        endings = tuple(ending for ending in program.endings if ending.name in agent.success)
+        success |= _names_behind(program, (endings, agent.goal))
+
+    def about(prefixes: tuple[str, ...], names: set[str]) -> tuple[Change, ...]:
+        read = {f"{section}.{name}" for name in names for section in ("augment", "signals", "parameters")}
+        return tuple(change for change in changes if change.path.startswith(prefixes) or change.path in read)
+
+    fits = tuple(change for change in changes if change.group is Effect.policy)
+    rest = tuple(change for change in about(_ACTING, acting) if change not in fits)
+    return Meanings(fits + rest, about(_RETURNS, returns), about(_SUCCESS, success))
+
+
+def _names_behind(program: Program, parts: object) -> set[str]:
+    """The names of the signals and parameters that parts of a program read, and of those behind them."""
+    definitions = {entry.name: entry for entry in (*program.signals, *program.parameters)}
+    found: set[str] = set()
+    waiting = set(_names_read(parts))
+    while waiting:
+        name = waiting.pop()
+        if name in definitions and name not in found:
+            found.add(name)
+            waiting |= set(_names_read(definitions[name]))
+    return found
+
+
+def _names_read(part: object) -> Iterator[str]:
+    if isinstance(part, Scalar):
+        yield from (leaf.name for leaf in names_in(part))
+        return
+    members = identity.record_members(part)
+    if members is None and isinstance(part, Mapping):
+        members = dict(part)
+    for inner in part if isinstance(part, tuple) else (members or {}).values():
+        yield from _names_read(inner)
+
+
+_LOOKS_PATH = r"(?=/(?:.*/)?(?:color|visuals)\b)"
+_AGENT = r"agents/[^/]+/"
+_PATHS: tuple[tuple[str, str, Effect], ...] = (
+    # the path of a value in a compiled scenario, the first that matches; its path in the language; its group
+    (_AGENT + r"observation/([^/]+)/noise", r"observation.\1.noise", Effect.task),
+    (_AGENT + r"observation/([^/]+)", r"observation.\1", Effect.task),
+    (_AGENT + r"action/([^/]+)/options(?=/.*/forbidden)", r"action.\1.forbid", Effect.task),
+    (_AGENT + r"action/([^/]+)", r"action.\1", Effect.policy),
+    (_AGENT + r"copies/([^/]+)", r"robots.\1.count", Effect.world),
+    (rf"(?:{_AGENT})?(action_repeat|frame_stack)", r"agent.\1", Effect.world),
+    (_AGENT + r"goal/achieved/noise", "goal.noise", Effect.task),
+    (_AGENT + r"goal/(?:low|high)", "goal.range", Effect.policy),
+    (_AGENT + r"goal/(\w+)", r"goal.\1", Effect.task),
+    (r"signals/([^/]+)", r"signals.\1", Effect.task),
+    (_AGENT + r"reward/([^/]+)", r"reward.\1", Effect.task),
+    (r"endings/(\w+)/([^/]+)", r"termination.\1.\2", Effect.task),
+    (r"truncation/(\w+)", r"truncation.\1", Effect.task),
+    (r"robots/[^/]+/(to|from)_route", r"messages.\1_robot", Effect.world),
+    (r"robots/([^/]+)/commands/([^/]+)", r"robots.\1.apply.\2", Effect.task),
+    (r"robots/([^/]+)/variables/([^/]+)", r"robots.\1.receive.\2", Effect.task),
+    (r"robots/([^/]+)/(\w+)/([^/]+)", r"robots.\1.\2.\3", Effect.task),
+    (r"(name|summary)", r"\1", Effect.cosmetic),
+    (r"world/robots/([^/]+)/model/links/([^/]+)" + _LOOKS_PATH, APPEARANCE_PREFIX + r"robots.\1.links.\2", Effect.cosmetic),
+    (r"world/objects/([^/#]+)[^/]*" + _LOOKS_PATH, APPEARANCE_PREFIX + r"objects.\1", Effect.cosmetic),
+    (r"world/lines/([^/]+)" + _LOOKS_PATH, APPEARANCE_PREFIX + r"world.lines.\1", Effect.cosmetic),
+    (r"world/(\w+)" + _LOOKS_PATH, APPEARANCE_PREFIX + r"world.\1", Effect.cosmetic),
+    (r"world/(?!robots|objects|lines)(\w+)", r"world.\1", Effect.world),
+    (r"world/robots/([^/]+)/model/name", r"name of robots.\1.urdf", Effect.cosmetic),
+    (r"world/robots/([^/]+)/model/root", r"robots.\1.urdf", Effect.world),
+    (r"world/robots/([^/]+)/model/(\w+)/([^/]+)", r"robots.\1.\2.\3", Effect.world),
+    (r"world/robots/([^/]+)/fixed_base", r"robots.\1.base", Effect.world),
+    (r"world/robots/([^/]+)/(\w+)", r"robots.\1.\2", Effect.world),
+    (r"world/objects/([^/#]+)[^/]*", r"objects.\1", Effect.world),
+    (r"world/lines/([^/]+)", r"world.lines.\1", Effect.world),
+    (r"(format|timing)", r"messages.\1", Effect.world),
+    (r"(parameters|disturbances)/([^/]+)", r"\1.\2", Effect.world),
+    (r"reset/variations/([^/]+)", r"\1", Effect.world),
+    (r"reset/placements/([^/]+)", r"reset.place.\1", Effect.world),
+    (r"reset/joint_starts/([^/]+)/states/([^/]+)", r"reset.joints.\1.\2", Effect.world),
+    (r"reset/groups/([^/]+)", r"objects.\1.count", Effect.world),
+    (r"reset/layouts/([^/]+)", r"reset.layouts.\1", Effect.world),
+    (r"reset/(\w+)", r"reset.\1", Effect.world),
+    (_AGENT + "(solved)", r"\1", Effect.training),
+    (r"evaluation/(\w+)", r"evaluation.\1", Effect.training),
+    (_AGENT + r"training/(algorithm|total_timesteps|environments|action_noise|replay|normalize|device)", r"train.\1", Effect.training),
+    (_AGENT + "training/teacher", "train.teacher", Effect.training),
+    (_AGENT + r"training/network/(\w+)", r"train.network.\1", Effect.training),
+    (_AGENT + r"training/hyperparameters/([^/]+)", r"train.\1", Effect.training),
+    (_AGENT + r"scripts/([^/]+)", r"scripts.\1", Effect.training),
+)
+_AXES = {"rpy": ("roll", "pitch", "yaw")} | dict.fromkeys(("xyz", "size", "axis", "spacing", "scale", "gravity"), ("x", "y", "z"))
+_CONTAINER_RECORDS = (Program, WorldModel, RobotBody, RobotModel, Robot, Route, Agent, Truncation, Reset, JointStart, Training, Network)
+"""Records that only hold other records; their class is not compared."""
+_NAME = re.compile(r"[a-z_][a-z0-9_]*")
+_MAX_LISTED = 3
+
+
+def scenario_changes(one: WrittenScenario, other: WrittenScenario) -> list[Change]:
+    """All differences, the most serious group first; empty if both scenarios compile to the same program, except for paths of files."""
+    found = [*_of_interface(one, other), *_of_values(one, other), *_of_variants(one, other), *_of_orders(one.program, other.program)]
+    if not found and identity.digest(one.program) != identity.digest(other.program):
+        path = "last digits" if list(values(one.program)) == list(values(other.program)) else "order of keys"
+        found = [Change(path, Effect.cosmetic, "changed", "", "")]
+    by_path: dict[str, Change] = {}
+    for change in sorted(found, key=lambda change: list(Effect).index(change.group)):
+        # Components of an observation replace the entry of the whole observation.
+        parts = [known for path, known in by_path.items() if path.startswith(f"{change.path}.") and known.group is not change.group]
+        if change.path not in by_path and not parts:
+            by_path[change.path] = change
+    return list(by_path.values())
+
+
+def _of_interface(one: WrittenScenario, other: WrittenScenario) -> Iterator[Change]:
+    """Differences in the interface of a policy: ranges, choices and messages."""
+    before, after = (identity.interface(side.program)[side.program.agent.name] for side in (one, other))
+    for name in dict.fromkeys((*before, *after)):
+        if before.get(name) != after.get(name):
+            path = "goal.range" if name.startswith("goal") else re.sub(r"^message to robot ([^.]+)\.", r"robots.\1.receive.", name)
+            path = re.sub(r"^message from robot ([^.]+)\.", r"robots.\1.emit.", path)
+            old, new = ({"": side[name]} if name in side else {} for side in (before, after))
+            yield _change(path, Effect.policy, old, new, one, other)
+
+
+def _of_values(one: WrittenScenario, other: WrittenScenario) -> Iterator[Change]:
+    before, after = values(one.program), values(other.program)
+    items: dict[tuple[int, str, Effect], tuple[dict[str, str], dict[str, str]]] = {}
+    for raw in dict.fromkeys((*before, *after)):
+        item, rest = _translated(raw, one.program, other.program)
+        for side, there in zip(items.setdefault(item, ({}, {})), (before, after), strict=True):
+            if raw in there:
+                side[rest] = there[raw]
+    for (_, path, group), (old, new) in sorted(items.items(), key=lambda item: item[0][0]):
+        if old != new:
+            yield _change(path, group, old, new, one, other)
+
+
+def _translated(raw: str, *scenarios: Program) -> tuple[tuple[int, str, Effect], str]:
+    """The rank, the path in the language and the group of the item that a value belongs to, and its path from there."""
+    for rank, (pattern, template, group) in enumerate(_PATHS):
+        if match := re.match(pattern, raw):
+            path = match.expand(template)
+            if path.startswith(APPEARANCE_PREFIX) and any(_is_seen(path, scenario) for scenario in scenarios):
+                group = Effect.world
+            return (rank, path, group), raw[match.end() :].strip("/").replace("/", ".")
+    return (len(_PATHS), raw.replace("/", "."), Effect.task), ""
+
+
+def _is_seen(path: str, scenario: Program) -> bool:
+    """Whether a robot has a camera, or the look belongs to a robot that has no other shapes."""
+    name = path.removeprefix(APPEARANCE_PREFIX).split(".")[1]
+    bodies = [body for body in scenario.world.robots if path.startswith(f"{APPEARANCE_PREFIX}robots.") and body.name == name]
+    shapeless = any(not any(link.collisions for link in body.model.links) for body in bodies)
+    return shapeless or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors)
+
+
+def _change(
+    path: str, group: Effect, old: Mapping[str, str], new: Mapping[str, str], one: WrittenScenario, other: WrittenScenario
+) -> Change:
+    """The change at a path: the texts of both scenarios, or the compiled values that differ where the texts do not."""
+    section, _, name = path.partition(".")
+    if section == "signals" and any(name in side.keys_at("augment") for side in (one, other)):
+        path = f"augment.{name}"
+    written = f"{path.removeprefix(APPEARANCE_PREFIX)}.color" if path.startswith(APPEARANCE_PREFIX) else path
+    texts = one.text_at(written), other.text_at(written)
+    kind = "changed" if all(texts) else _kind(bool(old), bool(new))
+    if texts[0] != texts[1]:
+        return Change(path, group, kind, *texts)
+    through = _altered_parameters(texts[0], one, other, set())
+    return Change(path, group, kind, *(texts if through else _differing(old, new)), through)
+
+
+def _kind(before: bool, after: bool) -> Kind:
+    return "changed" if before and after else "removed" if before else "added"
+
+
+def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> tuple[str, str]:
+    """The first few values that differ; none of an item with many values that only one scenario has."""
+    names = [name for name in dict.fromkeys((*old, *new)) if old.get(name) != new.get(name)]
+    if len(names) > _MAX_LISTED and not (old and new):
+        return "", ""
+    rest = [f"... {len(names)} in all"] if len(names) > _MAX_LISTED else []
+    shown = [[f"{name} {side[name]}".strip() for name in names[:_MAX_LISTED] if name in side] for side in (old, new)]
+    return ", ".join([*shown[0], *rest] if shown[0] else []), ", ".join([*shown[1], *rest] if shown[1] else [])
+
+
+def _altered_parameters(text: str, one: WrittenScenario, other: WrittenScenario, known: set[str]) -> dict[str, tuple[str, str]]:
+    """The parameters whose texts differ, of those in a text and of those that they are computed from; and both texts of each."""
+    found: dict[str, tuple[str, str]] = {}
+    for name in dict.fromkeys(_NAME.findall(text)):
+        here, there = one.text_at(f"parameters.{name}"), other.text_at(f"parameters.{name}")
+        if here != there:
+            found[name] = here, there
+        elif here and name not in known:
+            found |= _altered_parameters(here, one, other, known | {name})
+    return found
+
+
+def _of_variants(one: WrittenScenario, other: WrittenScenario) -> Iterator[Change]:
+    """Cases and stages, by the values that each changes in its scenario."""
+    for section, before, after in (
+        ("evaluation.cases", _variants(one.program, one.program.cases), _variants(other.program, other.program.cases)),
+        ("curriculum", _variants(one.program, one.program.curriculum), _variants(other.program, other.program.curriculum)),
+    ):
+        for name in dict.fromkeys((*before, *after)):
+            if before.get(name) != after.get(name):
+                path = f"{section}.{name}"
+                yield Change(path, Effect.training, _kind(name in before, name in after), one.text_at(path), other.text_at(path))
+
+
+def _variants(scenario: Program, entries: Iterable[Any]) -> dict[str, object]:
+    base = values(scenario)
+    found: dict[str, object] = {}
+    for entry in entries:
+        made = values(entry.program)
+        changed = {path: made.get(path) for path in {**base, **made} if base.get(path) != made.get(path)}
+        found[entry.name] = {"set": changed, **dict(_leaves(replace(entry, program=None), ""))}
+    return found
+
+
+def _of_orders(one: Program, other: Program) -> Iterator[Change]:
+    """The same names in another order, where the order has a meaning."""
+    before, after = dict(_orders(one)), dict(_orders(other))
+    for (path, group), names in before.items():
+        there = after.get((path, group), names)
+        if names != there and sorted(names) == sorted(there):
+            yield Change(path, group, "changed", ", ".join(names), ", ".join(there))
+
+
+def _orders(scenario: Program) -> Iterator[tuple[tuple[str, Effect], list[str]]]:
+    yield ("order of what is observed, done and sent", Effect.policy), list(identity.interface(scenario)[scenario.agent.name])
+    yield ("order of endings", Effect.task), [ending.name for ending in scenario.endings]
+    yield ("order of reset.place", Effect.world), [place.body for place in scenario.reset.placements]
+    yield ("order of evaluation.cases", Effect.training), [case.name for case in scenario.cases]
+    yield ("order of curriculum", Effect.training), [stage.name for stage in scenario.curriculum]
+
+
+# Values by path
+
+
+def values(scenario: Program) -> dict[str, str]:
+    """Every value of a scenario as text, by path; without cases, stages and paths of files."""
+    kinds = dict.fromkeys(scenario.failures, "failure") | dict.fromkeys(scenario.agent.success, "success")
+    leaves = _leaves(replace(scenario.with_agents(robots=(), success=()), cases=(), curriculum=()), "")
+    return {re.sub(r"^endings/(\w+)", lambda found: f"endings/{kinds[found[1]]}/{found[1]}", path): text for path, text in leaves}
+
+
+def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:
+    """The single values in a record, with their paths; numbers to twelve digits, since units are converted in floats."""
+    value = value.value if isinstance(value, Const) else value
+    members = None if isinstance(value, Scalar) else identity.record_members(value)
+    if members is not None and "scalars" in members:
+        members = {"": members["scalars"], **{name: members[name] for name in ("noise", "foreign", "redraw") if name in members}}
+    elif members is not None:
+        kind = {} if type(value) in _CONTAINER_RECORDS else {"kind": type(value).__name__.lower()}
+        key = path.rpartition("/")[2]
+        members = kind | {name: member for name, member in members.items() if name not in ("name", "body", "robot") or member != key}
+    elif isinstance(value, tuple) and not isinstance(value, Scalar) and not all(isinstance(entry, str) for entry in value):
+        members = _keyed(value, path)
+    elif isinstance(value, Mapping):
+        members = dict(value)
+    if members is not None:
+        for name, member in members.items():
+            yield from _leaves(member, f"{path}/{name}".strip("/"))
+    elif path.endswith("/fixed_base"):
+        yield path, "fixed" if value else "free"
+    elif isinstance(value, Scalar):
+        yield path, formula_text(value)
+    elif isinstance(value, float):
+        yield path, f"{value:.12g}"
+    elif value not in (None, ()):
+        yield path, value_text(list(value)) if isinstance(value, tuple) else value_text(value)
+
+
+def _keyed(entries: tuple[Any, ...], path: str) -> dict[str, Any]:
+    """The entries of a list by name where they have one, or by axis or position."""
+    axes = _AXES.get(path.rpartition("/")[2], ())
+    if len(entries) == len(axes):
+        return dict(zip(axes, entries, strict=True))
+    return {_key(entry) or (str(index) if len(entries) > 1 else ""): entry for index, entry in enumerate(entries)}
+
+
+def _key(entry: Any) -> str:
+    if isinstance(entry, Scalar):
+        return ""
+    if isinstance(entry, RandomizedParameter):
+        return _path_of_draw(entry)
+    if isinstance(entry, tuple):
+        return entry[0] if entry and isinstance(entry[0], str) else ""
+    return next((str(getattr(entry, key)) for key in ("name", "body", "robot") if hasattr(entry, key)), "")
+
+
+def _path_of_draw(entry: RandomizedParameter) -> str:
+    """The path in the language of a value that is drawn per episode."""
+    body, *rest = (part.partition("#")[0] for part in entry.of) if entry.of else ("",)
+    if entry.what == "color":
+        return f"{APPEARANCE_PREFIX}robots.{body}.links.{rest[0]}" if rest and rest[0] else f"{APPEARANCE_PREFIX}objects.{body}"
+    first = entry.scalars[0]
+    if isinstance(first, Draw):
+        return first.stream.partition("#")[0].partition(":")[0]
+    return " of ".join(filter(None, (f"drawn {entry.what}", ".".join(filter(None, entry.of)))))
