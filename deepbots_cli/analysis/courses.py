@@ -20,7 +20,11 @@ from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, S
 _RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "joint_velocity"})
 _COMPARISONS = frozenset({"less", "less_equal", "greater", "greater_equal"})
 _CLOCKS = frozenset({"time", "step"})
-_END_FLAGS = frozenset({"terminated", "truncated", "ended"})
+_GOES_ON: Mapping[str, Interval] = dict.fromkeys(("terminated", "truncated", "ended"), NEVER)
+_OF_ITS_VALUES = frozenset({"running_max", "running_min", "low_pass", "hold", "previous"})
+"""Functions with a memory that keep the values of their argument."""
+_RECENT = frozenset({"delta", "previous", "low_pass"})
+"""Functions with a memory whose values may go up and down at will."""
 _MAX_WAYS = 12
 """Ways to make a condition true or false that are looked at."""
 EDGE = 0.01
@@ -94,6 +98,9 @@ def _compared(analysis: Analysis, whole: Op, a: Scalar, b: Scalar, *, rising: bo
         return [{analysis.identity(whole): Required(whole, ALWAYS if truth else NEVER)}]
     if is_clock(analysis, quantity):
         return [{}]
+    memory = analysis.resolve_aliases(quantity)
+    if isinstance(memory, State) and memory.function in _OF_ITS_VALUES:
+        quantity = memory.args[0]
     counted = _counted(analysis, quantity)
     if counted is not None:
         return _ways_to_count(analysis, counted, above=above)
@@ -159,7 +166,7 @@ class Course(Ranges):
         self._is_moving = is_moving
         self._course = quantities
         self._values: Mapping[int, Interval] = {}
-        self._flags: Mapping[str, Interval] = {}
+        self._flags: Mapping[str, Interval] = _GOES_ON
         self._memory: dict[int, Interval] = {}
         self._now: dict[int, Interval] = {}
         self._is_varied: dict[int, bool] = {}
@@ -174,7 +181,7 @@ class Course(Ranges):
 
     def advance(self, values: Mapping[int, Interval]) -> None:
         """Move to a timestep in which the quantities have these values."""
-        self._values, self._flags = values, {}
+        self._values, self._flags = values, _GOES_ON
         self._now = {}
         self._forget()
         for state in self._states.values():
@@ -182,7 +189,7 @@ class Course(Ranges):
 
     def end(self, flags: Mapping[str, Interval]) -> None:
         """Set what this timestep ends, before the reward is asked for."""
-        self._flags = flags
+        self._flags = {**_GOES_ON, **flags}
         self._forget()
 
     def _forget(self) -> None:
@@ -214,7 +221,7 @@ class Course(Ranges):
     def _is_source(self, node: Scalar, identity: int) -> bool:
         if identity in self._course or identity in self._same or isinstance(node, State):
             return True
-        return isinstance(node, Name) and node.name in _END_FLAGS
+        return isinstance(node, Name) and node.name in _GOES_ON
 
     def _name(self, node: Name) -> Interval:
         return self._flags[node.name] if node.name in self._flags else super()._name(node)
@@ -310,8 +317,14 @@ def thresholds_of(analysis: Analysis, trees: list[Scalar]) -> Iterator[tuple[Sca
             for quantity, other in (part.args, part.args[::-1]):
                 bound = analysis.ranges.of(other)
                 if _is_settled(analysis, other) and not _is_settled(analysis, quantity) and bound.is_finite:
-                    if not is_clock(analysis, quantity) and _counted(analysis, quantity) is None:
+                    if not is_clock(analysis, quantity) and _may_go_to_and_fro(analysis, quantity, bound):
                         yield quantity, (bound.low + bound.high) / 2
+
+
+def _may_go_to_and_fro(analysis: Analysis, quantity: Scalar, bound: Interval) -> bool:
+    """Whether a quantity depends on the present alone; of its change, only the sign is at will."""
+    states = [part for part in analysis.walk_definitions(quantity) if isinstance(part, State)]
+    return not states or (bound == NEVER and all(part.function in _RECENT for part in states))
 
 
 def hold_times(analysis: Analysis, trees: list[Scalar]) -> set[float]:

@@ -29,12 +29,14 @@ from deepbots_cli.program.values import Expression
 
 _SHARE_OF_EPISODE = 0.5
 """The rest of an episode passes on the way, and while a cycle is not repeated at once."""
-_SHARE_OF_SPEED = 0.5
-"""A robot that turns back in each timestep reaches less than its largest speed."""
+_SHARE_OF_SPEED = 0.8
+"""A robot that turns back again and again is slower than its largest speed."""
 _MAX_HELD = 400
 """Timesteps of a cycle in which a success is nearly held."""
+_MIN_STEPS = 10
+"""Too short a rest of an episode to repeat anything."""
 _MAX_WAYS = 4
-_MAX_PLAYED = 30_000
+_MAX_PLAYED = 12_000
 """Timesteps of all courses of a scenario."""
 
 Values = Mapping[int, Interval]
@@ -75,7 +77,7 @@ def cycle_pays(context: RuleContext) -> Iterator[Finding]:
     over each cycle.
 
     The rule follows the reward along such cycles, for half of the episode, and compares this with what success pays from there. To and fro,
-    it assumes half of the largest speed, where wheels or joints limit it. DB708 reports states that pay without change.
+    it assumes 80 % of the largest speed, where wheels or joints limit it. DB708 reports states that pay without change.
 
     Example::
 
@@ -117,6 +119,8 @@ class _Search:
         self._terms = [node for _, node in self._reward.terms]
         self._watched = [*self._terms, *(node for _, node in self._endings)]
         self._tick = program.world.timestep
+        times = hold_times(analysis, [node for _, node in self._endings])
+        self._longest_hold = max((min(_MAX_HELD, ceil(time / self._tick) + 2) for time in times), default=0)
         self._left = _MAX_PLAYED
         self._nodes: dict[int, Scalar] = {}
         _, final = self._reward.split_by_end()
@@ -124,6 +128,8 @@ class _Search:
 
     def paid(self) -> Iterator[Earned]:
         """What cycles earn that earn more than finishing."""
+        if self._steps * _SHARE_OF_EPISODE < _MIN_STEPS:
+            return
         inside = [way for way in ways(self._analysis, self._condition) if way][:_MAX_WAYS]
         outside = [way for way in ways(self._analysis, self._condition, truth=False) if way][: 2 * _MAX_WAYS]
         for within in inside[:1]:
@@ -176,7 +182,7 @@ class _Search:
 
     def _held(self, base: Values, near: Values) -> int:
         """For how many timesteps the values of success do not yet end the episode; 0 where nothing ends it."""
-        course = self._course(is_moving=False)
+        course = self._course({**base, **near}, is_moving=False)
         for _ in range(2):
             course.advance(base)
         for count in range(_MAX_HELD):
@@ -190,6 +196,8 @@ class _Search:
         times = {1, *(min(_MAX_HELD, ceil(time / self._tick) + 2) for time in hold_times(self._analysis, self._terms))}
         for key, sides in self._sides_in_reward():
             low, high = ({**base, key: side} for side in sides)
+            yield Cycle(((low, 1),), key)
+            yield Cycle(((high, 1),), key)
             for one, other in ((low, high), (high, low)):
                 for count in sorted(times):
                     yield Cycle(((one, count), (other, 1)), key)
@@ -242,33 +250,34 @@ class _Search:
 
     # Rewards along a cycle
 
-    def _course(self, *, is_moving: bool) -> Course:
+    def _course(self, start: Values, *, is_moving: bool) -> Course:
         begin = self._analysis.last_step - self._steps / self._analysis.program.action_repeat
-        return Course(self._analysis, self._watched, self._nodes, begin=begin, is_moving=is_moving)
+        quantities = {key: self._nodes[key] for key in start}
+        return Course(self._analysis, self._watched, quantities, begin=begin, is_moving=is_moving)
 
     def _earned(self, cycle: Cycle, finish: Values) -> Earned | None:
         """What a cycle earns; None where it ends the episode, or where finishing from it is unknown."""
-        self._left -= 4 * cycle.ticks
+        turns = max(3, ceil(self._longest_hold / cycle.ticks) + 1)
+        self._left -= (turns + 1) * cycle.ticks
         if self._left < 0:
             return None
         start = cycle.phases[-1][0]
-        extra = {key: value for key, value in start.items() if key not in finish}
-        course = self._course(is_moving=True)
+        course = self._course({**start, **finish}, is_moving=True)
         sums: dict[str, float] = {}
-        for turn in range(3):
+        for turn in range(turns):
             for values, count in cycle.phases:
                 for _ in range(count):
                     course.advance(values)
                     if self._ends(course):
                         return None
-                    if turn == 2:
+                    if turn == turns - 1:
                         for term, node in self._reward.terms:
                             sums[term.name] = sums.get(term.name, 0.0) + course.of(node).high
         rates = {name: paid / cycle.ticks for name, paid in sums.items()}
         rate = sum(rates.values())
         if not 0.0 < rate < INF:
             return None
-        finishing = self._finishing(course, {**extra, **finish})
+        finishing = self._finishing(course, {**start, **finish})
         if finishing is None:
             return None
         return Earned(cycle, rates, rate, rate * self._steps * _SHARE_OF_EPISODE + self._fine, finishing)
