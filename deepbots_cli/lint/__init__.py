@@ -11,7 +11,7 @@ observations.py  what the policy sees; saturation.py values at the end of their 
 rewards.py       the size of the reward; shaping.py its direction; incentives.py what pays   DB7, DB810
 cycles.py        what a cycle of states earns that never ends in success                     DB716
 endings.py       when episodes end, goals that cannot be reached                             DB8
-exploits.py      rewards that pay for something other than success                           DB712 to DB715
+exploits.py      rewards that pay for something other than success                           DB712 to DB715, DB717
 
 context.py       what a rule is given: the scenario, its analysis, places in its text, the report of its simulation
 simulation.py    plan, process and report of a simulation; simulation_process.py, rollouts.py and search.py run in that process

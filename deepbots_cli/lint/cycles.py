@@ -46,10 +46,10 @@ Phase = tuple[Values, int]
 
 @dataclass(frozen=True)
 class Cycle:
-    """Phases that are repeated, and the identity of the quantity that changes; None where nothing changes."""
+    """Phases that are repeated, and the identity of the quantity that changes, or that stays where it is."""
 
     phases: tuple[Phase, ...]
-    changing: int | None = None
+    changing: int
 
     @property
     def ticks(self) -> int:
@@ -325,23 +325,19 @@ def _finding(context: RuleContext, success: Expression, best: Earned) -> Finding
 
 
 def _description(context: RuleContext, cycle: Cycle) -> str:
-    texts = _texts(context)
-    text, dimension = texts.get(cycle.changing or -1, ("the compared quantity", None))
+    text, dimension = _texts(context).get(cycle.changing, ("the compared quantity", None))
     parts = []
     for values, count in cycle.phases:
-        value = values.get(cycle.changing or -1)
-        if value is None:
-            continue
-        steps = f"for {count} step{'s' if count > 1 else ''}"
-        if dimension is None:
-            parts.append(f"{'true' if value == ALWAYS else 'false'} {steps}" if value in (ALWAYS, NEVER) else f"{value.low:.4g} {steps}")
-        else:
-            parts.append(f"{with_unit(value.low, dimension)} {steps}")
-    return f"the cycle: `{text}` is {', then '.join(parts)}"
+        value = values[cycle.changing]
+        said = with_unit(float(f"{value.low:.4g}"), dimension) if dimension is not None else f"{value.low:.4g}"
+        if dimension is None and value in (ALWAYS, NEVER):
+            said = "true" if value == ALWAYS else "false"
+        parts.append(said if cycle.ticks == 1 else f"{said} for {count} step{'s' if count > 1 else ''}")
+    return f"the cycle: `{text}` {'stays' if cycle.ticks == 1 else 'is'} {', then '.join(parts)}"
 
 
 def _texts(context: RuleContext) -> dict[int, tuple[str, Dimension | None]]:
-    """How the scenario writes quantities, by their identity, with their dimension; None for truth values."""
+    """How the scenario writes quantities, at the shortest, by their identity, with their dimension; None for truth values."""
     analysis, found = context.analysis.ideal, dict[int, tuple[str, Dimension | None]]()
     values = [*context.program.endings, *context.program.signals, *context.program.agent.reward]
     for value in values:
@@ -349,9 +345,10 @@ def _texts(context: RuleContext) -> dict[int, tuple[str, Dimension | None]]:
             parts = node.args if isinstance(node, Operation) else (node,)
             for part in parts:
                 trees = analysis.lowered(part, value.owner)
-                if len(trees) == 1 and value.text[part.start : part.end]:
-                    dimension = None if part.type.boolean else part.type.dimension
-                    found.setdefault(analysis.identity(trees[0]), (value.text[part.start : part.end], dimension))
+                text, dimension = value.text[part.start : part.end], None if part.type.boolean else part.type.dimension
+                key = analysis.identity(trees[0])
+                if len(trees) == 1 and text and (key not in found or len(text) < len(found[key][0])):
+                    found[key] = text, dimension
     return found
 
 
