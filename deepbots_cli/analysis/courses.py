@@ -160,7 +160,9 @@ class Course(Ranges):
     `flags` are the truth values of `terminated`, `truncated` and `ended`; endings have those of their conditions.
     """
 
-    def __init__(self, analysis: Analysis, watched: list[Scalar], quantities: Mapping[int, Scalar], *, begin: float, is_moving: bool) -> None:
+    def __init__(
+        self, analysis: Analysis, watched: list[Scalar], quantities: Mapping[int, Scalar], *, begin: float, is_moving: bool
+    ) -> None:
         """`watched` are the trees whose memories advance, `quantities` those that the course fixes; it begins in the step `begin`."""
         super().__init__(analysis, {}, (min(begin, float(analysis.last_step)), float(analysis.last_step)))
         self._is_moving = is_moving
@@ -316,9 +318,9 @@ def thresholds_of(analysis: Analysis, trees: list[Scalar]) -> Iterator[tuple[Sca
         if isinstance(part, Op) and part.op in _COMPARISONS:
             for quantity, other in (part.args, part.args[::-1]):
                 bound = analysis.ranges.of(other)
-                if _is_settled(analysis, other) and not _is_settled(analysis, quantity) and bound.is_finite:
-                    if not is_clock(analysis, quantity) and _may_go_to_and_fro(analysis, quantity, bound):
-                        yield quantity, (bound.low + bound.high) / 2
+                is_compared = _is_settled(analysis, other) and not _is_settled(analysis, quantity) and bound.is_finite
+                if is_compared and not is_clock(analysis, quantity) and _may_go_to_and_fro(analysis, quantity, bound):
+                    yield quantity, (bound.low + bound.high) / 2
 
 
 def _may_go_to_and_fro(analysis: Analysis, quantity: Scalar, bound: Interval) -> bool:

@@ -1,7 +1,7 @@
 """Limits of speed, and the return that they allow.
 
-Wheels on flat ground limit the speed of their robot, and motors that of their joints. A distance changes no faster than its two bodies move,
-so the sum of its changes over an episode is at most speed times time.
+Wheels on flat ground limit the speed of their robot, and motors that of their joints. A distance changes no faster than its two bodies
+move, so the sum of its changes over an episode is at most speed times time.
 
 The limits hold while wheels stay on the ground: an engine does not enforce them. So `highest_return` may show that a required return is out
 of reach, and is no bound for statistics; `returns.return_range` is.
@@ -28,7 +28,7 @@ _TOLERANCE = 1.1
 """An e-puck that turns back in each timestep exceeds the speed of its wheels by 4 %, since it tilts; one that drives on by 0.02 %."""
 _GROUND_GAP = 0.01
 """m; casters often end a little above the ground, so that the weight is on the wheels."""
-_EXACT_DISTANCES = frozenset({"position"})
+_MAX_EXPONENT = 50.0
 _AS_FAST_AS_THE_BODY = frozenset({"clearance", "path_distance", "cross_track_error", "arc_length"})
 """Measures that follow the body; a path on a grid, and the inner side of a curve, may be a little faster."""
 
@@ -146,9 +146,6 @@ def rate_of(analysis: Analysis, node: Scalar, *, exact: bool = False) -> float:
 
 
 def _rate(analysis: Analysis, node: Scalar, *, exact: bool) -> float:
-    def rate(part: Scalar) -> float:
-        return rate_of(analysis, part, exact=exact)
-
     pair = analysis.distance_pair(node)
     if pair is not None and (not exact or isinstance(node, Op)):
         return sum(_speed_of(analysis, body) for body in pair)
@@ -161,23 +158,34 @@ def _rate(analysis: Analysis, node: Scalar, *, exact: bool) -> float:
         case EngineRead("joint_position", (subject, *_)):
             robot, _, joint = subject.partition(".")
             return joint_speed(analysis, robot, joint)
-        case EngineRead(function, (subject, *_)) if function in _EXACT_DISTANCES or (function in _AS_FAST_AS_THE_BODY and not exact):
+        case EngineRead("position", (subject, *_)):
             return _speed_of(analysis, subject)
-        case Op("neg" | "abs", (inner,)) | State("running_max" | "running_min" | "low_pass", (inner, *_)):
-            return rate(inner)
-        case Op("add" | "sub", args):
-            return sum(map(rate, args))
-        case Op("hypot", args):
-            return hypot(*map(rate, args))
-        case Op("min" | "max" | "clamp", args):
-            return max(map(rate, args))
-        case Op("mul" | "div" as op, (a, b)) if analysis.ranges.of(b).is_single:
-            factor = abs(analysis.ranges.of(b).low)
-            return rate(a) * factor if op == "mul" else rate(a) / factor if factor else INF
-        case Op("mul", (a, b)) if analysis.ranges.of(a).is_single:
-            return rate(b) * abs(analysis.ranges.of(a).low)
-        case Op("exp", (inner,)) if analysis.ranges.of(inner).high < 50.0:
-            return rate(inner) * exp(analysis.ranges.of(inner).high)
+        case EngineRead(function, (subject, *_)) if function in _AS_FAST_AS_THE_BODY and not exact:
+            return _speed_of(analysis, subject)
+        case State("running_max" | "running_min" | "low_pass", (inner, *_)):
+            return rate_of(analysis, inner, exact=exact)
+        case Op(op, args):
+            return _rate_of_operation(analysis, op, args, [rate_of(analysis, arg, exact=exact) for arg in args])
+        case _:
+            return INF
+
+
+def _rate_of_operation(analysis: Analysis, op: str, args: Sequence[Scalar], rates: Sequence[float]) -> float:
+    known = [analysis.ranges.of(arg) for arg in args]
+    match op:
+        case "neg" | "abs" | "add" | "sub":
+            return sum(rates)
+        case "hypot":
+            return hypot(*rates)
+        case "min" | "max" | "clamp":
+            return max(rates)
+        case "mul" if known[1].is_single or known[0].is_single:
+            at = 0 if known[1].is_single else 1
+            return iv.multiply(Interval(0.0, rates[at]), iv.absolute(known[1 - at])).high
+        case "div" if known[1].is_single and known[1].low != 0.0:
+            return rates[0] / abs(known[1].low)
+        case "exp" if known[0].high < _MAX_EXPONENT:
+            return rates[0] * exp(known[0].high)
         case _:
             return INF
 
@@ -215,11 +223,11 @@ class SpeedRanges(Ranges):
 
 
 def change_of(analysis: Analysis, one: Scalar, other: Scalar) -> Scalar | None:
-    """The quantity whose change in a timestep the difference of two values is, as in `previous(x) - x`; None for any other difference."""
+    """The quantity whose change in a timestep the difference of two values is, as in `previous(x) - x`; None for any other."""
     a, b = analysis.resolve_aliases(one), analysis.resolve_aliases(other)
     for before, now in ((a, b), (b, a)):
-        if isinstance(before, State) and before.function == "previous" and len(before.args) == 1:
-            if analysis.identity(before.args[0]) == analysis.identity(now):
+        match before:
+            case State("previous", (kept,)) if analysis.identity(kept) == analysis.identity(now):
                 return now
     return None
 
@@ -278,4 +286,3 @@ def speed_notes(analysis: Analysis) -> tuple[str, ...]:
     """The largest speeds of the robots, for a note."""
     speeds = {body.name: base_speed(analysis, body.name) for body in analysis.program.world.robots}
     return tuple(f"`{name}` moves at most with {speed:.3g} m/s" for name, speed in speeds.items() if speed < INF)
-

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import product
 from math import ceil
 
 from deepbots_cli.analysis import Analysis
@@ -24,7 +23,7 @@ from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, Interval, sin
 from deepbots_cli.expressions.scalar import EngineRead, Scalar, State
 from deepbots_cli.expressions.types import Operation, walk
 from deepbots_cli.lint.context import RuleContext
-from deepbots_cli.lint.incentives import MIN_WORTH, hovering, horizon, steps_from
+from deepbots_cli.lint.incentives import MIN_WORTH, horizon, hovering, steps_from
 from deepbots_cli.program.values import Expression
 
 _SHARE_OF_EPISODE = 0.5

@@ -38,6 +38,8 @@ _CONFIRMED = 3
 """The best drivers of the first start that are tried on the others, of each kind of end."""
 _INTERRUPTIONS, _MAX_INTERRUPTIONS, _MIN_BETWEEN = (1, 3), 5, 2
 """Steps for which a script is interrupted, and by how many actions; fewer steps to a success after that are none that lasts."""
+_SHARE_OF_INTERRUPTIONS = 0.05
+"""Of the steps that are left, for the interruptions from each start."""
 _POPULATION, _ELITES, _GENERATIONS = 12, 3, 12
 _MIN_DEVIATION = 0.1
 _AT_LIMIT = 0.02
@@ -104,7 +106,10 @@ class ExploitSearch:
         best = max(reached, key=lambda each: each.total_return)
         before = best.steps - 1
         actions = [driver_text(self._slots, [values]) for values in _constants(self._slots)[:_MAX_INTERRUPTIONS]]
+        enough = self._left * (1.0 - _SHARE_OF_INTERRUPTIONS)
         for action, lasting in product(actions, _INTERRUPTIONS):
+            if self._left < enough:
+                return
             again = self._play(f"{best.driver}*{max(1, before)},{action}*{lasting},{best.driver}*{self._longest}", "interrupted", number)
             between = again.steps - before - lasting - 1 if again is not None and again.end == "success" else 0
             if between < _MIN_BETWEEN:
