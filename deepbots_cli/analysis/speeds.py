@@ -260,9 +260,9 @@ def _sum(ranges: SpeedRanges, node: Scalar, ticks: int) -> Interval:
     match node:
         case State("delta", (quantity,)):
             return _total_change(ranges, quantity, ticks)
-        case Op("sub", (a, b)) if (quantity := change_of(analysis, a, b)) is not None:
-            total = _total_change(ranges, quantity, ticks)
-            return total if analysis.identity(a) == analysis.identity(quantity) else iv.negate(total)
+        case Op("sub", (a, b)) if (changing := change_of(analysis, a, b)) is not None:
+            total = _total_change(ranges, changing, ticks)
+            return total if analysis.identity(a) == analysis.identity(changing) else iv.negate(total)
         case Op("neg", (inner,)):
             return iv.negate(_sum(ranges, inner, ticks))
         case Op("add" | "sub" as op, (a, b)):

@@ -34,7 +34,8 @@ _MAX_HELD = 400
 """Timesteps of a cycle in which a success is nearly held."""
 _MIN_STEPS = 10
 """Too short a rest of an episode to repeat anything."""
-_MAX_WAYS = 4
+_MAX_INSIDE, _MAX_WAYS = 2, 4
+"""Ways to succeed, and to avoid success, that are looked at."""
 _MAX_PLAYED = 12_000
 """Timesteps of all courses of a scenario."""
 
@@ -129,9 +130,9 @@ class _Search:
         """What cycles earn that earn more than finishing."""
         if self._steps * _SHARE_OF_EPISODE < _MIN_STEPS:
             return
-        inside = [way for way in ways(self._analysis, self._condition) if way][:_MAX_WAYS]
+        inside = [way for way in ways(self._analysis, self._condition) if way]
         outside = [way for way in ways(self._analysis, self._condition, truth=False) if way][: 2 * _MAX_WAYS]
-        for within in inside[:1]:
+        for within in inside[:_MAX_INSIDE]:
             finish = self._values(within)
             for cycle in self._cycles(within, finish, outside):
                 earned = self._earned(cycle, finish)
@@ -155,9 +156,9 @@ class _Search:
         bases: list[tuple[Way, Values]] = []
         for out in outside:
             others = {key: required for key, required in within.items() if key not in out}
-            base = merged(out, others)
-            if base is not None:
-                bases.append((out, {**finish, **self._values(base)}))
+            avoiding = merged(out, others)
+            if avoiding is not None:
+                bases.append((out, {**finish, **self._values(avoiding)}))
         for out, base in bases:
             yield from self._nearly_held(within, finish, out, base)
         for out, base in bases[:_MAX_WAYS]:
