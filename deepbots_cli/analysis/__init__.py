@@ -8,6 +8,8 @@ conditions.py  the comparisons in a condition, the thresholds that they set, end
 deployment.py  the readings of the world that a policy needs on a real robot
 returns.py     what the terms of the reward pay in a step and at an end, and the return of an episode
 changes.py     what differs between two scenarios
+speeds.py      limits of speed, and the return that they allow
+courses.py     values along an assumed course of some quantities, without a simulated world
 """
 
 from __future__ import annotations
@@ -89,6 +91,8 @@ class Analysis:
         self._identities: dict[int, tuple[Scalar, int]] = {}
         self._numbers: dict[tuple[object, ...], int] = {}
         self._ranges: dict[tuple[float, float], Ranges] = {}
+        self.rates: dict[bool, dict[Scalar, float]] = {}
+        """The largest changes of values per second, as `speeds.rate_of` works them out: all, and those that are exact."""
         self.period = program.world.timestep * program.action_repeat
         """Seconds between two actions."""
         self.last_step = program.truncation.max_episode_steps(self.period)

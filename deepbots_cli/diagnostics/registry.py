@@ -148,6 +148,8 @@ _CATALOG = (
     Rule("DB713", "pays-without-success", "warning", "a driver without success pays more than a success", deep="exploits"),
     Rule("DB714", "early-end-pays", "warning", "a driver that fails early pays more than one that goes on", deep="exploits"),
     Rule("DB715", "repeatable-reward", "warning", "a reward for progress that can be earned again and again", deep="exploits"),
+    Rule("DB716", "cycle-pays", "warning", "a cycle of states without success that pays more than success"),
+    Rule("DB717", "waiting-pays", "warning", "doing nothing earns at least half of what a success earns", deep="exploits"),
     Rule("DB801", "never-true", "warning", "an ending that can never be true"),
     Rule("DB802", "always-true", "error", "an ending that is true in every step"),
     Rule("DB803", "no-time-limit", "error", "the scenario has no time limit"),

@@ -9,8 +9,9 @@ robots.py        commands, actuators, wheels that slip, rays that pass over ever
 world.py         objects out of scale, means of engines, how episodes begin                  DB309, DB310, DB316, DB507, DB809, DB812
 observations.py  what the policy sees; saturation.py values at the end of their range        DB6
 rewards.py       the size of the reward; shaping.py its direction; incentives.py what pays   DB7, DB810
+cycles.py        what a cycle of states earns that never ends in success                     DB716
 endings.py       when episodes end, goals that cannot be reached                             DB8
-exploits.py      rewards that pay for something other than success                           DB712 to DB715
+exploits.py      rewards that pay for something other than success                           DB712 to DB715, DB717
 
 context.py       what a rule is given: the scenario, its analysis, places in its text, the report of its simulation
 simulation.py    plan, process and report of a simulation; simulation_process.py, rollouts.py and search.py run in that process
@@ -34,12 +35,12 @@ from deepbots_cli.diagnostics.findings import internal_error_finding, suppress
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.expressions.types import referenced_names
-from deepbots_cli.lint import endings, incentives, names, observations, rewards, robots, saturation, shaping, world
+from deepbots_cli.lint import cycles, endings, incentives, names, observations, rewards, robots, saturation, shaping, world
 from deepbots_cli.lint.context import RuleContext, SimulatedRule, Simulation, StaticRule
 from deepbots_cli.lint.exploits import EXPLOIT_RULES, Exploit, ExploitContext
 from deepbots_cli.lint.simulation import EXPLOIT_LIMITS, Limits, SimulationReport, measure
 
-_MODULES = (names, world, robots, observations, saturation, rewards, incentives, shaping, endings)
+_MODULES = (names, world, robots, observations, saturation, rewards, incentives, cycles, shaping, endings)
 STATIC_RULES: tuple[StaticRule, ...] = tuple(rule for module in _MODULES for rule in getattr(module, "STATIC_RULES", ()))
 SIMULATED_RULES: tuple[SimulatedRule, ...] = tuple(rule for module in _MODULES for rule in getattr(module, "SIMULATED_RULES", ()))
 

@@ -107,8 +107,8 @@ def _price(cost: float) -> str:
 
 
 def _share_notes(reward: RewardTerms, share: float, success: Expression) -> tuple[str, ...]:
-    less = _horizon(reward) < reward.analysis.last_step - 1
-    known = f"with the discount factor of the training, only about {_horizon(reward):.0f} steps matter: over these, " if less else ""
+    less = horizon(reward) < reward.analysis.last_step - 1
+    known = f"with the discount factor of the training, only about {horizon(reward):.0f} steps matter: over these, " if less else ""
     return (
         f"{known}failing at once gives a higher return unless more than {100.0 * share:.0f} % of the episodes end with `{success.name}`",
     )
@@ -119,7 +119,7 @@ def break_even(living: float, failing: float, success: float) -> float:
     return (failing - living) / (success - living)
 
 
-def _horizon(reward: RewardTerms) -> float:
+def horizon(reward: RewardTerms) -> float:
     """The steps of the agent that count: those of an episode, or the horizon of the discount factor if it is shorter."""
     gamma = reward.program.agent.discount
     return min(float(reward.analysis.last_step), INF if gamma >= 1.0 else 1.0 / (1.0 - gamma))
@@ -127,7 +127,7 @@ def _horizon(reward: RewardTerms) -> float:
 
 def _steps_that_count(reward: RewardTerms, ending: Expression) -> float:
     """The steps of the agent after the first one in which an ending may hold, no more than the discount factor lets count."""
-    return max(0.0, min(reward.analysis.last_step - 1.0 - _first_step(reward.analysis, ending), _horizon(reward)))
+    return max(0.0, min(reward.analysis.last_step - 1.0 - _first_step(reward.analysis, ending), horizon(reward)))
 
 
 def _cheapest_failure(reward: RewardTerms, final: Terms) -> tuple[float, Expression] | None:
@@ -183,7 +183,7 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
     rows = {by: simulation.measured[by] for by in (RANDOM, HELD_RANDOM, IDLE) if by in simulation.measured}
     if not (simulation.is_complete and reward.is_complete and simulation.program.agent.goal is None and failure and successes and rows):
         return
-    if _total_sum(ordinary, _short_of_the_goal(reward), _horizon(reward)) < 0.0:
+    if _total_sum(ordinary, _short_of_the_goal(reward), horizon(reward)) < 0.0:
         return  # the static rule knows the costs
     if any(not _CLOCKS.isdisjoint(simulation.analysis.dependencies(node)) for _, node in ordinary):
         return  # later steps cost something else
@@ -255,16 +255,23 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
         termination: {success: {arrived: left < 5 cm}}
         remove: [reward.alive]
     """
+    finding = hovering(context)
+    if finding is not None:
+        yield finding
+
+
+def hovering(context: RuleContext) -> Finding | None:
+    """The state beside the success that pays more than this; None where there is none."""
     analysis, reward = context.analysis, context.analysis.reward
     ordinary, final = reward.split_by_end()
     successes = context.program.successes
     if not reward.is_complete or len(successes) != 1 or not ordinary:
-        return
+        return None
     success, running = successes[0], reward.ranges_while_running()
     possible = TRUTH if success.foreign else analysis.ranges_in(0.0, float(analysis.last_step)).of(analysis.scalars(success)[0])
     if possible == NEVER or success in analysis.shadowed:
-        return  # DB801, DB804
-    steps = _steps_from(analysis, success) * context.program.action_repeat
+        return None  # DB801, DB804
+    steps = steps_from(analysis, success) * context.program.action_repeat
     fine = min(0.0, total_range(final, reward.ranges_at(None)).high)
     for threshold in _ways_to_avoid(analysis, success):
         waiting = _just_before(running, threshold)
@@ -273,12 +280,12 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
         if not 0.0 < pay < INF:
             continue
         prize = total_range(reward.terms, _just_before(reward.ranges_at(success), threshold)).high
-        if pay * steps + fine > prize and pay * min(steps, _horizon(reward) * context.program.action_repeat) > MIN_WORTH * prize:
+        if pay * steps + fine > prize and pay * min(steps, horizon(reward) * context.program.action_repeat) > MIN_WORTH * prize:
             headline = f"an episode that avoids `{success.name}` can collect up to {pay:.3g} per step, {pay * steps:.4g} in all"
             headline += f", but `{success.name}` pays {prize:.3g} only once"
             best = max(ordinary, key=lambda term: waiting.of(term[1]).high)[0]
-            yield Finding("DB708", best.span, headline, PROGRESS_HELP, labels=(Label(success.span, "ends these payments"),))
-            return
+            return Finding("DB708", best.span, headline, PROGRESS_HELP, labels=(Label(success.span, "ends these payments"),))
+    return None
 
 
 def _ways_to_avoid(analysis: Analysis, success: Expression) -> list[Threshold | None]:
@@ -305,7 +312,7 @@ def _first_step(analysis: Analysis, ending: Expression) -> float:
     return min(first, float(analysis.last_step))
 
 
-def _steps_from(analysis: Analysis, ending: Expression) -> float:
+def steps_from(analysis: Analysis, ending: Expression) -> float:
     """The steps of the agent after the first one in which an ending may hold."""
     return max(0.0, analysis.last_step - ceil(_first_step(analysis, ending)))
 
@@ -370,8 +377,8 @@ def _place_pays(simulation: Simulation, success: Expression) -> list[Finding]:
     if best is None:
         return []
     pay = highest[best.name] + sum(min(0.0, highest[term.name]) for term in staying if term is not best)
-    steps = _steps_from(analysis, success)
-    if pay <= 0.0 or pay * steps <= prize or pay * min(steps, _horizon(reward)) <= MIN_WORTH * prize:
+    steps = steps_from(analysis, success)
+    if pay <= 0.0 or pay * steps <= prize or pay * min(steps, horizon(reward)) <= MIN_WORTH * prize:
         return []
     headline = f"`{best.name}` pays up to {pay:.3g} in a step, {pay * steps:.4g} over a whole episode"
     headline += f", but `{success.name}` pays {prize:.3g} only once"
@@ -401,7 +408,7 @@ def _idle_pays(simulation: Simulation, success: Expression) -> list[Finding]:
         return []
     pay = sum(term.total for term in row.terms) / row.steps
     prize = total_range(reward.terms, reward.ranges_at(success)).high
-    steps = min(reward.analysis.last_step / 2, _horizon(reward))
+    steps = min(reward.analysis.last_step / 2, horizon(reward))
     if pay > 0.0 and pay * steps > prize:
         headline = f"doing nothing pays {pay:.3g} in every step, but `{success.name}` pays {prize:.3g} only once"
         notes = (f"measured in {row.steps} steps; the horizon is about {steps:.0f} steps, given the discount factor and the time limit",)

@@ -10,6 +10,7 @@ from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import comparisons, thresholds
 from deepbots_cli.analysis.ranges import Ranges
 from deepbots_cli.analysis.returns import RewardTerms, return_range
+from deepbots_cli.analysis.speeds import highest_return, speed_notes
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import NUMBER
@@ -340,7 +341,8 @@ def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
 
     If no episode can reach it, training never stops early, no policy counts as solved, and a stage of a curriculum never ends. If every
     episode reaches it, every policy counts as solved, and a stage ends at once. The rule computes the bounds of the return from the
-    rewards of the steps and of the endings: 200 steps of `alive: 1` give at most 200.
+    rewards of the steps and of the endings: 200 steps of `alive: 1` give at most 200. Where wheels on flat ground or motors limit a speed,
+    it takes this limit: a robot that drives with 0.2 m/s comes 2 m closer in 10 s at most.
 
     Example::
 
@@ -355,6 +357,10 @@ def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
         if wanted > known.high + _ROUNDING * abs(known.high):
             headline = f"no episode reaches the required return of {wanted:g}: the highest possible return is {known.high:.4g}"
             yield Finding("DB810", context.values.span(path), headline, "require a smaller return")
+        elif wanted > (limited := highest_return(analysis.ideal)) + _ROUNDING * abs(limited):
+            headline = f"no episode reaches the required return of {wanted:g}: limits of speed allow at most {limited:.4g}"
+            notes = speed_notes(analysis)
+            yield Finding("DB810", context.values.span(path), headline, "require a smaller return, or allow a higher speed", notes=notes)
         elif wanted <= known.low:
             headline = f"every episode reaches the required return of {wanted:g}: the lowest possible return is {known.low:.4g}"
             yield Finding("DB810", context.values.span(path), headline, "require a larger return")

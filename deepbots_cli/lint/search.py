@@ -36,6 +36,10 @@ _HOLDS = (2, 10)
 """Steps for which alternating actions are held."""
 _CONFIRMED = 3
 """The best drivers of the first start that are tried on the others, of each kind of end."""
+_INTERRUPTIONS, _MAX_INTERRUPTIONS, _MIN_BETWEEN = (1, 3), 5, 2
+"""Steps for which a script is interrupted, and by how many actions; fewer steps to a success after that are none that lasts."""
+_SHARE_OF_INTERRUPTIONS = 0.05
+"""Of the steps that are left, for the interruptions from each start."""
 _POPULATION, _ELITES, _GENERATIONS = 12, 3, 12
 _MIN_DEVIATION = 0.1
 _AT_LIMIT = 0.02
@@ -72,6 +76,9 @@ class ExploitSearch:
                     if number == 0 or kind in ("idle", "script"):
                         self._play(driver, kind, number)
             self._confirm()
+            if self._program.defines_success and not is_better_than_success(self._episodes):
+                for number in range(_STARTS):
+                    self._interrupt(number)
             if self._program.defines_success and not is_better_than_success(self._episodes) and self._search(0):
                 self._confirm()
                 if not is_better_than_success(self._episodes):
@@ -90,6 +97,25 @@ class ExploitSearch:
             best += sorted(ended, key=lambda episode: -episode.discounted_return)[:1]
             for episode, number in product(best, range(1, _STARTS)):
                 self._play(episode.driver, episode.kind, number)
+
+    def _interrupt(self, number: int) -> None:
+        """Interrupt the best script in the step before its success, again and again: a success may have to last for a time."""
+        reached = [each for each in self._episodes if each.number == number and each.end == "success" and each.kind == "script"]
+        if not reached:
+            return
+        best = max(reached, key=lambda each: each.total_return)
+        before = best.steps - 1
+        actions = [driver_text(self._slots, [values]) for values in _constants(self._slots)[:_MAX_INTERRUPTIONS]]
+        enough = self._left * (1.0 - _SHARE_OF_INTERRUPTIONS)
+        for action, lasting in product(actions, _INTERRUPTIONS):
+            if self._left < enough:
+                return
+            again = self._play(f"{best.driver}*{max(1, before)},{action}*{lasting},{best.driver}*{self._longest}", "interrupted", number)
+            between = again.steps - before - lasting - 1 if again is not None and again.end == "success" else 0
+            if between < _MIN_BETWEEN:
+                continue
+            turns = (self._longest - before) // (lasting + between) + 1
+            self._play(f"{best.driver}*{max(1, before)}" + f",{action}*{lasting},{best.driver}*{between}" * turns, "interrupted", number)
 
     # Episodes
 

@@ -147,8 +147,8 @@ class SimulatedEpisode:
     end: End
 
 
-DriverKind = Literal["idle", "constant", "alternating", "random", "script", "detour", "sequence"]
-"""Who drives, the simplest first; the search finds interrupted scripts (`detour`) and sequences of actions."""
+DriverKind = Literal["idle", "constant", "alternating", "random", "script", "interrupted", "detour", "sequence"]
+"""Who drives, the simplest first; a script is `interrupted` before its success; the search finds detours and sequences of actions."""
 
 
 @dataclass(frozen=True)

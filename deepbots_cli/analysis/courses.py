@@ -1,0 +1,341 @@
+"""The values of a program along an assumed course of some quantities, timestep by timestep, without a simulated world.
+
+A `Course` fixes quantities, such as a distance, in each timestep. Every other fact of the world keeps one value that is not known: it
+stands for all values of its range, and it never changes. So `delta` of it is 0, and speeds are 0. `ways` solves a condition: which values
+of the compared quantities make it true, or false.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import islice, product
+from typing import NamedTuple
+
+from deepbots_cli.analysis import Analysis
+from deepbots_cli.analysis.ranges import Ranges
+from deepbots_cli.expressions import intervals as iv
+from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, Interval, hull, single
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
+
+_RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "joint_velocity"})
+_COMPARISONS = frozenset({"less", "less_equal", "greater", "greater_equal"})
+_CLOCKS = frozenset({"time", "step"})
+_GOES_ON: Mapping[str, Interval] = dict.fromkeys(("terminated", "truncated", "ended"), NEVER)
+_OF_ITS_VALUES = frozenset({"running_max", "running_min", "low_pass", "hold", "previous"})
+"""Functions with a memory that keep the values of their argument."""
+_RECENT = frozenset({"delta", "previous", "low_pass"})
+"""Functions with a memory whose values may go up and down at will."""
+_MAX_WAYS = 12
+"""Ways to make a condition true or false that are looked at."""
+EDGE = 0.01
+"""A quantity just beyond a threshold lies beyond it by this share of the threshold."""
+_SMALLEST_EDGE = 1e-4
+"""The same beside a threshold of 0, in SI units."""
+
+
+class Required(NamedTuple):
+    """A quantity, and the interval in which it has to lie."""
+
+    node: Scalar
+    within: Interval
+
+
+Way = Mapping[int, Required]
+"""One way to meet a condition: by the identities of quantities, where each has to lie."""
+
+
+# Conditions
+
+
+def ways(analysis: Analysis, condition: Scalar, *, truth: bool = True) -> list[Way]:
+    """The ways in which quantities make a condition true or false; of very many only the first; none where it cannot be so.
+
+    A condition about how long or how often something has been so is met by what it counts: `duration(near) > 1 s` by `near`.
+    """
+    node = analysis.resolve_aliases(condition)
+    match node:
+        case Const(value):
+            return [{}] if bool(value) == truth else []
+        case Op("not", (inner,)):
+            return ways(analysis, inner, truth=not truth)
+        case Op("and" | "or" as op, args):
+            parts = [ways(analysis, arg, truth=truth) for arg in args]
+            if (op == "and") == truth:
+                return _together(parts)
+            return [way for part in parts for way in part][:_MAX_WAYS]
+        case Op(op, (a, b)) if op in _COMPARISONS:
+            return _compared(analysis, node, a, b, rising=op.startswith("greater") == truth, truth=truth)
+        case State("rising_edge" | "previous" | "hold", (inner, *_)):
+            return ways(analysis, inner, truth=truth)
+        case _:
+            return [{analysis.identity(node): Required(node, ALWAYS if truth else NEVER)}]
+
+
+def _together(parts: list[list[Way]]) -> list[Way]:
+    found = (merged(*chosen) for chosen in product(*parts))
+    return [way for way in islice(found, _MAX_WAYS * _MAX_WAYS) if way is not None][:_MAX_WAYS]
+
+
+def merged(*chosen: Way) -> Way | None:
+    """What all these ways require; None where they contradict each other."""
+    found: dict[int, Required] = {}
+    for way in chosen:
+        for quantity, required in way.items():
+            known = found.get(quantity, required).within
+            low, high = max(known.low, required.within.low), min(known.high, required.within.high)
+            if low > high:
+                return None
+            found[quantity] = Required(required.node, Interval(low, high))
+    return found
+
+
+def _compared(analysis: Analysis, whole: Op, a: Scalar, b: Scalar, *, rising: bool, truth: bool) -> list[Way]:
+    """The ways to have `a` above `b`, or below where not `rising`."""
+    quantity, bound, above = a, analysis.ranges.of(b), rising
+    if _is_settled(analysis, a):
+        quantity, bound, above = b, analysis.ranges.of(a), not rising
+    if not (_is_settled(analysis, a) or _is_settled(analysis, b)) or not bound.is_finite:
+        return [{analysis.identity(whole): Required(whole, ALWAYS if truth else NEVER)}]
+    if is_clock(analysis, quantity):
+        return [{}]
+    memory = analysis.resolve_aliases(quantity)
+    if isinstance(memory, State) and memory.function in _OF_ITS_VALUES:
+        quantity = memory.args[0]
+    counted = _counted(analysis, quantity)
+    if counted is not None:
+        return _ways_to_count(analysis, counted, above=above)
+    within = Interval(bound.high, INF) if above else Interval(-INF, bound.low)
+    return [{analysis.identity(quantity): Required(quantity, within)}]
+
+
+def is_clock(analysis: Analysis, node: Scalar) -> bool:
+    meaning = analysis.resolve_aliases(node)
+    return isinstance(meaning, Name) and meaning.name in _CLOCKS
+
+
+def _is_settled(analysis: Analysis, node: Scalar) -> bool:
+    """Whether a value does not change within an episode."""
+    drawn = {value.name for value in analysis.program.parameters}
+    parts = analysis.walk_definitions(node)
+    return all(isinstance(part, (Const, Op, Draw)) or (isinstance(part, Name) and part.name in drawn) for part in parts)
+
+
+def _counted(analysis: Analysis, quantity: Scalar) -> tuple[State, bool] | None:
+    """The memory that a quantity counts with, and whether it rises with it; None for a quantity of the present."""
+    node = analysis.resolve_aliases(quantity)
+    match node:
+        case State("duration" | "integral" | "accumulate" | "low_pass" | "hold" | "previous" | "running_max" | "running_min"):
+            return node, True
+        case Op("neg", (inner,)):
+            found = _counted(analysis, inner)
+            return None if found is None else (found[0], not found[1])
+        case Op("add" | "sub" | "mul" | "div" as op, (a, b)) if analysis.ranges.of(b).is_single or analysis.ranges.of(a).is_single:
+            is_first = analysis.ranges.of(b).is_single
+            found, factor = _counted(analysis, a if is_first else b), analysis.ranges.of(b if is_first else a)
+            falls = (op in ("mul", "div") and factor.high < 0.0) or (op in ("sub", "div") and not is_first)
+            return None if found is None else (found[0], found[1] != falls)
+        case _:
+            return None
+
+
+def _ways_to_count(analysis: Analysis, counted: tuple[State, bool], *, above: bool) -> list[Way]:
+    """The ways to make what a memory counts grow, or fall."""
+    state, rises = counted
+    inner, up = state.args[0], above == rises
+    if state.function == "duration":
+        return ways(analysis, inner, truth=up)
+    meaning = analysis.resolve_aliases(inner)
+    if isinstance(meaning, Op) and meaning.op == "where":
+        then, otherwise = (analysis.ranges.of(part) for part in meaning.args[1:])
+        return ways(analysis, meaning.args[0], truth=(then.high > otherwise.high) == up)
+    return []
+
+
+# Values along a course
+
+
+class Course(Ranges):
+    """The ranges of values in the timesteps of a course; `advance` moves to the next one.
+
+    `flags` are the truth values of `terminated`, `truncated` and `ended`; endings have those of their conditions.
+    """
+
+    def __init__(
+        self, analysis: Analysis, watched: list[Scalar], quantities: Mapping[int, Scalar], *, begin: float, is_moving: bool
+    ) -> None:
+        """`watched` are the trees whose memories advance, `quantities` those that the course fixes; it begins in the step `begin`."""
+        super().__init__(analysis, {}, (min(begin, float(analysis.last_step)), float(analysis.last_step)))
+        self._is_moving = is_moving
+        self._course = quantities
+        self._values: Mapping[int, Interval] = {}
+        self._flags: Mapping[str, Interval] = _GOES_ON
+        self._memory: dict[int, Interval] = {}
+        self._now: dict[int, Interval] = {}
+        self._is_varied: dict[int, bool] = {}
+        self._constant: dict[int, Interval] = {}
+        self._tick = analysis.program.world.timestep
+        parts = [part for tree in watched for part in analysis.walk_definitions(tree)]
+        self._states = {analysis.identity(part): part for part in parts if isinstance(part, State)}
+        pairs = {pair: key for key, node in quantities.items() if (pair := analysis.distance_pair(node)) is not None}
+        same = ((part, pairs.get(pair)) for part in parts if (pair := analysis.distance_pair(part)) is not None) if pairs else ()
+        self._same = {analysis.identity(part): key for part, key in same if key is not None}
+        """Other measures of a distance that the course fixes."""
+
+    def advance(self, values: Mapping[int, Interval]) -> None:
+        """Move to a timestep in which the quantities have these values."""
+        self._values, self._flags = values, _GOES_ON
+        self._now = {}
+        self._forget()
+        for state in self._states.values():
+            self.of(state)
+
+    def end(self, flags: Mapping[str, Interval]) -> None:
+        """Set what this timestep ends, before the reward is asked for."""
+        self._flags = {**_GOES_ON, **flags}
+        self._forget()
+
+    def _forget(self) -> None:
+        self._known.clear()
+        self._names.clear()
+
+    def _of(self, node: Scalar) -> Interval:
+        identity = self.analysis.identity(node)
+        if identity in self._values:
+            return self._values[identity]
+        if identity in self._constant:
+            return self._constant[identity]
+        if identity in self._same:
+            return self._values[self._same[identity]]
+        found = super()._of(node)
+        if not self._varies(node):
+            self._constant[identity] = found
+        return found
+
+    def _varies(self, node: Scalar) -> bool:
+        """Whether a value depends on what the course fixes, on memories, or on how an episode ends."""
+        node = self.analysis.resolve_aliases(node)
+        identity = self.analysis.identity(node)
+        if identity not in self._is_varied:
+            self._is_varied[identity] = True  # a definition that refers to itself
+            self._is_varied[identity] = self._is_source(node, identity) or any(map(self._varies, _parts(node)))
+        return self._is_varied[identity]
+
+    def _is_source(self, node: Scalar, identity: int) -> bool:
+        if identity in self._course or identity in self._same or isinstance(node, State):
+            return True
+        return isinstance(node, Name) and node.name in _GOES_ON
+
+    def _name(self, node: Name) -> Interval:
+        return self._flags[node.name] if node.name in self._flags else super()._name(node)
+
+    def _leaf(self, node: Name) -> Interval:
+        return self._flags[node.name] if node.name in self._flags else super()._leaf(node)
+
+    def _world(self, node: EngineRead) -> Interval:
+        if node.function in _RATE_FUNCTIONS and not self._is_moving:
+            return NEVER
+        return super()._world(node)
+
+    def _state(self, node: State) -> Interval:
+        identity = self.analysis.identity(node)
+        if identity not in self._now:
+            self._now[identity] = NEVER
+            self._now[identity] = self._advanced(node, identity)
+        return self._now[identity]
+
+    def _advanced(self, node: State, identity: int) -> Interval:
+        args = [self.of(arg) for arg in node.args]
+        x, before = args[0], self._memory.get(identity)
+        kept = x
+        match node.function:
+            case "delta" | "previous":
+                value = NEVER if node.function == "delta" else x
+                if before is not None and self._varies(node.args[0]):
+                    value = iv.subtract(x, before) if node.function == "delta" else before
+            case "rising_edge":
+                value = NEVER
+                if before is not None and self._varies(node.args[0]):
+                    value = iv.minimum(x, iv.subtract(ALWAYS, before))
+            case "duration":
+                kept = value = self._duration(x, before or NEVER)
+            case "integral":
+                step = iv.multiply(x, single(self._tick))
+                kept = value = NEVER if before is None else iv.add(before, step)
+            case "accumulate":
+                kept = value = args[3] if before is None else iv.clamp(iv.add(before, x), args[1], args[2])
+            case "hold":
+                kept = value = iv.where(args[1], x, x if before is None else before)
+            case "low_pass":
+                share = iv.divide(single(self._tick), iv.add(args[1], single(self._tick)))
+                kept = value = x if before is None or not self._varies(node.args[0]) else _mixed(before, x, share)
+            case "running_max":
+                kept = value = x if before is None else iv.maximum(before, x)
+            case "running_min":
+                kept = value = x if before is None else iv.minimum(before, x)
+            case _:
+                value = super()._state(node)
+        self._memory[identity] = kept
+        return value
+
+    def _duration(self, condition: Interval, before: Interval) -> Interval:
+        longer = iv.add(before, single(self._tick))
+        if condition.low > 0.0:
+            return longer
+        return NEVER if condition.high <= 0.0 else hull([NEVER, longer])
+
+
+def _mixed(before: Interval, x: Interval, share: Interval) -> Interval:
+    return iv.add(iv.multiply(before, iv.subtract(single(1.0), share)), iv.multiply(x, share))
+
+
+def _parts(node: Scalar) -> tuple[Scalar, ...]:
+    return node.args if isinstance(node, (Op, State, Draw)) else ()
+
+
+# Values that a way allows
+
+
+def value_within(ranges: Ranges, required: Required) -> float:
+    """A value that a way allows: the middle of two bounds, or just beyond the only one."""
+    known, (low, high) = ranges.of(required.node), required.within
+    if low == high:
+        return low
+    if low == -INF and 0.0 < high < INF and known.low > -INF:
+        return (max(known.low, 0.0) + high) / 2
+    if low > -INF and high < INF:
+        return (low + high) / 2
+    return beyond(low, 1.0) if low > -INF else beyond(high, -1.0)
+
+
+def beyond(threshold: float, side: float) -> float:
+    """Just above (`side` 1) or below (-1) a threshold."""
+    return threshold + side * max(EDGE * abs(threshold), _SMALLEST_EDGE)
+
+
+def thresholds_of(analysis: Analysis, trees: list[Scalar]) -> Iterator[tuple[Scalar, float]]:
+    """The quantities of the present that trees compare with a value, and each finite value."""
+    for part in (part for tree in trees for part in analysis.walk_definitions(tree)):
+        if isinstance(part, Op) and part.op in _COMPARISONS:
+            for quantity, other in (part.args, part.args[::-1]):
+                bound = analysis.ranges.of(other)
+                is_compared = _is_settled(analysis, other) and not _is_settled(analysis, quantity) and bound.is_finite
+                if is_compared and not is_clock(analysis, quantity) and _may_go_to_and_fro(analysis, quantity, bound):
+                    yield quantity, (bound.low + bound.high) / 2
+
+
+def _may_go_to_and_fro(analysis: Analysis, quantity: Scalar, bound: Interval) -> bool:
+    """Whether a quantity depends on the present alone; of its change, only the sign is at will."""
+    states = [part for part in analysis.walk_definitions(quantity) if isinstance(part, State)]
+    return not states or (bound == NEVER and all(part.function in _RECENT for part in states))
+
+
+def hold_times(analysis: Analysis, trees: list[Scalar]) -> set[float]:
+    """The times (s) with which trees compare how long something lasts."""
+    found: set[float] = set()
+    for part in (part for tree in trees for part in analysis.walk_definitions(tree)):
+        if isinstance(part, Op) and part.op in _COMPARISONS:
+            for quantity, other in (part.args, part.args[::-1]):
+                counted = _counted(analysis, quantity)
+                if counted is not None and counted[0].function == "duration" and analysis.ranges.of(other).is_finite:
+                    found.add(analysis.ranges.of(other).high)
+    return found

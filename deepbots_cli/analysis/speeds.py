@@ -1,0 +1,288 @@
+"""Limits of speed, and the return that they allow.
+
+Wheels on flat ground limit the speed of their robot, and motors that of their joints. A distance changes no faster than its two bodies
+move, so the sum of its changes over an episode is at most speed times time.
+
+The limits hold while wheels stay on the ground: an engine does not enforce them. So `highest_return` may show that a required return is out
+of reach, and is no bound for statistics; `returns.return_range` is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import exp, hypot
+from typing import TYPE_CHECKING
+
+from deepbots_cli.analysis.ranges import Ranges
+from deepbots_cli.analysis.returns import return_range
+from deepbots_cli.expressions import intervals as iv
+from deepbots_cli.expressions.intervals import INF, Interval
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
+from deepbots_cli.program.robots import Motor
+from deepbots_cli.robots.model import Cylinder, Joint, RobotModel, Sphere
+
+if TYPE_CHECKING:
+    from deepbots_cli.analysis import Analysis
+
+_TOLERANCE = 1.1
+"""An e-puck that turns back in each timestep exceeds the speed of its wheels by 4 %, since it tilts; one that drives on by 0.02 %."""
+_GROUND_GAP = 0.01
+"""m; casters often end a little above the ground, so that the weight is on the wheels."""
+_MAX_EXPONENT = 50.0
+_AS_FAST_AS_THE_BODY = frozenset({"clearance", "path_distance", "cross_track_error", "arc_length"})
+"""Measures that follow the body; a path on a grid, and the inner side of a curve, may be a little faster."""
+
+
+# Bodies and joints
+
+
+def joint_speed(analysis: Analysis, robot: str, joint: str) -> float:
+    """The largest speed (rad/s or m/s) that a velocity motor gives a joint; infinite where nothing limits it."""
+    controller = next((entry for entry in analysis.program.robots if entry.name == robot), None)
+    for command in controller.commands if controller is not None else ():
+        actuator = command.actuator
+        if isinstance(actuator, Motor) and actuator.kind == "velocity_motor" and joint in actuator.joints:
+            at = actuator.joints.index(joint)
+            trees = analysis.value_on_robot(command.target, robot)
+            asked = iv.absolute(analysis.ranges.of(trees[at if len(trees) > 1 else 0])).high
+            limit = actuator.max_velocity[at]
+            return asked if limit is None else min(asked, limit)
+    return INF
+
+
+def base_speed(analysis: Analysis, robot: str) -> float:
+    """The largest speed (m/s) of the origin of a robot that nothing but its wheels can move; infinite where that is unknown."""
+    program = analysis.program
+    world = program.world
+    pushed = bool(program.disturbances) or world.terrain is not None or world.ground is None or any(world.gravity[:2])
+    pushed = pushed or any(place.velocity is not None or place.angular_velocity is not None for place in analysis.placements)
+    pushed = pushed or any(start.velocity is not None for start in program.reset.joint_starts)
+    if pushed or program.agent.copies is not None:
+        return INF
+    moving = [body for body in world.robots if not body.fixed_base]
+    if not any(body.name == robot for body in moving) or len(moving) < len(world.robots):
+        return INF  # an arm may push the robot
+    return max(_speed_on_wheels(analysis, body.name, body.model) for body in moving)
+
+
+def _speed_on_wheels(analysis: Analysis, robot: str, model: RobotModel) -> float:
+    wheels = [joint for joint in model.moving_joints if _radius(model, joint) is not None and joint.parent == model.root]
+    speeds = {joint.name: joint_speed(analysis, robot, joint.name) for joint in wheels}
+    controller = next(entry for entry in analysis.program.robots if entry.name == robot)
+    driven = {joint for command in controller.commands for joint in command.actuator.components}
+    if len(wheels) < len(model.moving_joints) or not driven or not driven <= speeds.keys() or not _stands(model, wheels):
+        return INF
+    fastest = max(speeds[joint.name] * (_radius(model, joint) or 0.0) for joint in wheels if joint.name in driven)
+    places = [joint.origin.xyz for joint in wheels if joint.name in driven]
+    (left, right), (back, front) = ((min(at[axis] for at in places), max(at[axis] for at in places)) for axis in (1, 0))
+    off = hypot(max(0.0, back, -front), max(0.0, left, -right))  # how far the origin is from between the wheels
+    if off > 1e-6 and right - left < 1e-6:
+        return INF
+    turning = 2.0 * off / (right - left) if off > 1e-6 else 0.0
+    return fastest * max(1.0, turning) * _TOLERANCE
+
+
+def _radius(model: RobotModel, joint: Joint) -> float | None:
+    """The radius (m) of a wheel; None for any other joint."""
+    shapes = [part.shape for part in model.link(joint.child).collisions]
+    if joint.type != "continuous" or len(shapes) != 1 or not isinstance(shapes[0], (Cylinder, Sphere)):
+        return None
+    return shapes[0].radius
+
+
+def _stands(model: RobotModel, wheels: Sequence[Joint]) -> bool:
+    """Whether a robot stands without balancing: on wheels and other parts that do not lie on one line."""
+    places = [joint.origin.xyz[:2] for joint in wheels]
+    bottom = min(joint.origin.xyz[2] - (_radius(model, joint) or 0.0) for joint in wheels) if wheels else 0.0
+    for name in model.links_below(model.root, rigid=True):
+        offset = next((joint.origin.xyz for joint in model.joints if joint.child == name), (0.0, 0.0, 0.0))
+        for part in model.link(name).collisions:
+            (x, y, z), shape = part.origin.xyz, part.shape
+            reach = getattr(shape, "radius", 0.0)
+            low = z + offset[2] - (reach if isinstance(shape, Sphere) else _half_height(shape))
+            if low < bottom + _GROUND_GAP:
+                width = 0.0 if isinstance(shape, Sphere) else _half_width(shape)
+                places += [(x + offset[0] + width * side, y + offset[1]) for side in (-1.0, 1.0)]
+    spread = [max(at[axis] for at in places) - min(at[axis] for at in places) if places else 0.0 for axis in (0, 1)]
+    return min(spread) > 1e-3
+
+
+def _half_height(shape: object) -> float:
+    size = getattr(shape, "size", None)
+    return float(size[2]) / 2 if size is not None else float(getattr(shape, "length", 0.0)) / 2
+
+
+def _half_width(shape: object) -> float:
+    size = getattr(shape, "size", None)
+    return float(size[0]) / 2 if size is not None else float(getattr(shape, "radius", 0.0))
+
+
+def _speed_of(analysis: Analysis, subject: str) -> float:
+    """The largest speed (m/s) of the origin of a body."""
+    base = subject.partition("#")[0]
+    for body in analysis.program.world.robots:
+        if base in (body.name, f"{body.name}.{body.model.root}"):
+            return 0.0 if body.fixed_base else base_speed(analysis, body.name)
+    for thing in analysis.program.world.objects:
+        if thing.name == base:
+            return 0.0 if thing.fixed and not thing.variants else INF
+    return INF
+
+
+# Values
+
+
+def rate_of(analysis: Analysis, node: Scalar, *, exact: bool = False) -> float:
+    """The largest change of a value per second; infinite where nothing limits it.
+
+    `exact` leaves out measures that may be a little faster than their body.
+    """
+    node = analysis.resolve_aliases(node)
+    if node in analysis.rates.setdefault(exact, {}):
+        return analysis.rates[exact][node]
+    analysis.rates[exact][node] = INF  # a definition that refers to itself
+    analysis.rates[exact][node] = _rate(analysis, node, exact=exact)
+    return analysis.rates[exact][node]
+
+
+def _rate(analysis: Analysis, node: Scalar, *, exact: bool) -> float:
+    pair = analysis.distance_pair(node)
+    if pair is not None and (not exact or isinstance(node, Op)):
+        return sum(_speed_of(analysis, body) for body in pair)
+    match node:
+        case Const() | Draw():
+            return 0.0
+        case Name(name):
+            drawn = next((value for value in analysis.program.parameters if value.name == name), None)
+            return 0.0 if drawn is not None and drawn.redraw is None else INF
+        case EngineRead("joint_position", (subject, *_)):
+            robot, _, joint = subject.partition(".")
+            return joint_speed(analysis, robot, joint)
+        case EngineRead("position", (subject, *_)):
+            return _speed_of(analysis, subject)
+        case EngineRead(function, (subject, *_)) if function in _AS_FAST_AS_THE_BODY and not exact:
+            return _speed_of(analysis, subject)
+        case State("running_max" | "running_min" | "low_pass", (inner, *_)):
+            return rate_of(analysis, inner, exact=exact)
+        case Op(op, args):
+            return _rate_of_operation(analysis, op, args, [rate_of(analysis, arg, exact=exact) for arg in args])
+        case _:
+            return INF
+
+
+def _rate_of_operation(analysis: Analysis, op: str, args: Sequence[Scalar], rates: Sequence[float]) -> float:
+    known = [analysis.ranges.of(arg) for arg in args]
+    match op:
+        case "neg" | "abs" | "add" | "sub":
+            return sum(rates)
+        case "hypot":
+            return hypot(*rates)
+        case "min" | "max" | "clamp":
+            return max(rates)
+        case "mul" if known[1].is_single or known[0].is_single:
+            at = 0 if known[1].is_single else 1
+            return iv.multiply(Interval(0.0, rates[at]), iv.absolute(known[1 - at])).high
+        case "div" if known[1].is_single and known[1].low != 0.0:
+            return rates[0] / abs(known[1].low)
+        case "exp" if known[0].high < _MAX_EXPONENT:
+            return rates[0] * exp(known[0].high)
+        case _:
+            return INF
+
+
+class SpeedRanges(Ranges):
+    """Value ranges that limits of speed narrow: of speeds, and of changes in a timestep."""
+
+    def _world(self, node: EngineRead) -> Interval:
+        found, limit = super()._world(node), INF
+        if node.function == "velocity":
+            limit = _speed_of(self.analysis, node.subjects[0])
+        elif node.function == "joint_velocity":
+            robot, _, joint = node.subjects[0].partition(".")
+            limit = joint_speed(self.analysis, robot, joint) * _TOLERANCE
+        return _within(found, limit)
+
+    def _state(self, node: State) -> Interval:
+        found = super()._state(node)
+        return _within(found, self.change(node.args[0])) if node.function == "delta" and len(node.args) == 1 else found
+
+    def _op(self, op: str, args: Sequence[Scalar]) -> Interval:
+        found = super()._op(op, args)
+        if op == "sub" and (quantity := change_of(self.analysis, args[0], args[1])) is not None:
+            return _within(found, self.change(quantity))
+        if op == "hypot":
+            parts = [self.analysis.resolve_aliases(arg) for arg in args]
+            subjects = {part.subjects for part in parts if isinstance(part, EngineRead) and part.function == "velocity"}
+            if len(subjects) == 1 and all(isinstance(part, EngineRead) and part.function == "velocity" for part in parts):
+                return _within(found, _speed_of(self.analysis, subjects.pop()[0]))
+        return found
+
+    def change(self, quantity: Scalar) -> float:
+        """The largest change of a quantity in a timestep."""
+        return rate_of(self.analysis, quantity, exact=True) * self.analysis.program.world.timestep
+
+
+def change_of(analysis: Analysis, one: Scalar, other: Scalar) -> Scalar | None:
+    """The quantity whose change in a timestep the difference of two values is, as in `previous(x) - x`; None for any other."""
+    a, b = analysis.resolve_aliases(one), analysis.resolve_aliases(other)
+    for before, now in ((a, b), (b, a)):
+        match before:
+            case State("previous", (kept,)) if analysis.identity(kept) == analysis.identity(now):
+                return now
+    return None
+
+
+def _within(known: Interval, limit: float) -> Interval:
+    return Interval(max(known.low, -limit), min(known.high, limit)) if limit < INF else known
+
+
+# Returns
+
+
+def highest_return(analysis: Analysis) -> float:
+    """The highest return of an episode within limits of speed; infinite where nothing bounds it."""
+    reward, known = analysis.reward, return_range(analysis).high
+    if not reward.is_complete:
+        return INF
+    ranges = SpeedRanges(analysis, {}, (1.0, float(analysis.last_step)))
+    ticks = analysis.last_step * analysis.program.action_repeat
+    final = {term.name for term, _ in reward.split_by_end()[1]}
+    total = 0.0
+    for term, node in reward.terms:
+        total += max(0.0, ranges.of(node).high) if term.name in final else _sum(ranges, node, ticks).high
+    return min(total, known)
+
+
+def _sum(ranges: SpeedRanges, node: Scalar, ticks: int) -> Interval:
+    """The range of the sum of a value over the timesteps of an episode, at least one and at most `ticks`."""
+    analysis = ranges.analysis
+    node = analysis.resolve_aliases(node)
+    match node:
+        case State("delta", (quantity,)):
+            return _total_change(ranges, quantity, ticks)
+        case Op("sub", (a, b)) if (changing := change_of(analysis, a, b)) is not None:
+            total = _total_change(ranges, changing, ticks)
+            return total if analysis.identity(a) == analysis.identity(changing) else iv.negate(total)
+        case Op("neg", (inner,)):
+            return iv.negate(_sum(ranges, inner, ticks))
+        case Op("add" | "sub" as op, (a, b)):
+            return (iv.add if op == "add" else iv.subtract)(_sum(ranges, a, ticks), _sum(ranges, b, ticks))
+        case Op("mul" | "div" as op, (a, b)) if ranges.of(b).is_single:
+            return (iv.multiply if op == "mul" else iv.divide)(_sum(ranges, a, ticks), ranges.of(b))
+        case Op("mul", (a, b)) if ranges.of(a).is_single:
+            return iv.multiply(ranges.of(a), _sum(ranges, b, ticks))
+    step = ranges.of(node)
+    return Interval(step.low * (ticks if step.low < 0.0 else 1), step.high * (ticks if step.high > 0.0 else 1))
+
+
+def _total_change(ranges: SpeedRanges, quantity: Scalar, ticks: int) -> Interval:
+    """The change of a quantity over an episode: within its range, and no faster than it can change."""
+    limit = rate_of(ranges.analysis, quantity, exact=True) * ranges.analysis.program.world.timestep * ticks
+    known = iv.subtract(ranges.of(quantity), ranges.analysis.start.of(quantity))
+    return _within(known, limit) if 0.0 in known else known
+
+
+def speed_notes(analysis: Analysis) -> tuple[str, ...]:
+    """The largest speeds of the robots, for a note."""
+    speeds = {body.name: base_speed(analysis, body.name) for body in analysis.program.world.robots}
+    return tuple(f"`{name}` moves at most with {speed:.3g} m/s" for name, speed in speeds.items() if speed < INF)

@@ -1,0 +1,355 @@
+"""What a cycle of states earns that never ends in success (DB716).
+
+The rule assumes courses of the compared quantities (`analysis.courses`), and adds up the reward along them. A cycle is worth its reward per
+timestep for half of the episode; finishing is worth the reward from the cycle to the success. Progress that is charged on the way back sums
+to zero over a cycle. Nothing here depends on the form of a term.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from math import ceil
+
+from deepbots_cli.analysis import Analysis
+from deepbots_cli.analysis.courses import Course, Required, Way, beyond, hold_times, merged, thresholds_of, value_within, ways
+from deepbots_cli.analysis.ranges import with_unit
+from deepbots_cli.analysis.returns import total_range
+from deepbots_cli.analysis.speeds import rate_of
+from deepbots_cli.diagnostics import Finding, Label
+from deepbots_cli.expressions.dimensions import Dimension
+from deepbots_cli.expressions.functions import FUNCTIONS
+from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, Interval, single
+from deepbots_cli.expressions.scalar import EngineRead, Scalar, State
+from deepbots_cli.expressions.types import Operation, walk
+from deepbots_cli.lint.context import RuleContext
+from deepbots_cli.lint.incentives import MIN_WORTH, horizon, hovering, steps_from
+from deepbots_cli.program.values import Expression
+
+_SHARE_OF_EPISODE = 0.5
+"""The rest of an episode passes on the way, and while a cycle is not repeated at once."""
+_SHARE_OF_SPEED = 0.8
+"""A robot that turns back again and again is slower than its largest speed."""
+_MAX_HELD = 400
+"""Timesteps of a cycle in which a success is nearly held."""
+_MIN_STEPS = 10
+"""Too short a rest of an episode to repeat anything."""
+_MAX_INSIDE, _MAX_WAYS = 2, 4
+"""Ways to succeed, and to avoid success, that are looked at."""
+_MAX_PLAYED = 12_000
+"""Timesteps of all courses of a scenario."""
+
+Values = Mapping[int, Interval]
+Phase = tuple[Values, int]
+"""Values of the quantities, and for how many timesteps."""
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """Phases that are repeated, and the identity of the quantity that changes, or that stays where it is."""
+
+    phases: tuple[Phase, ...]
+    changing: int
+
+    @property
+    def ticks(self) -> int:
+        return sum(count for _, count in self.phases)
+
+
+@dataclass(frozen=True)
+class Earned:
+    """What a cycle earns: by term and in all per timestep, over the rest of an episode, and what finishing earns from there."""
+
+    cycle: Cycle
+    rates: Mapping[str, float]
+    rate: float
+    total: float
+    finishing: float
+
+
+def cycle_pays(context: RuleContext) -> Iterator[Finding]:
+    """DB716: a cycle of states that never ends in success pays more than success.
+
+    The agent learns to repeat the cycle. Three kinds are common. A success must be held for a time, and a term pays in each step of it: the
+    agent interrupts it just in time, and begins again. A bonus is paid at each entry into a region: the agent leaves and enters again. A
+    term pays steps towards the goal, and does not charge steps away from it, as with `max(0, ...)` or `abs(...)`: the agent goes to and
+    fro. Pay at the end of the episode, or pay progress that is charged on the way back (`-10 * delta(distance) / m`), which sums to zero
+    over each cycle.
+
+    The rule follows the reward along such cycles, for half of the episode, and compares this with what success pays from there. To and fro,
+    it assumes 80 % of the largest speed, where wheels or joints limit it. DB708 reports states that pay without change.
+
+    Example::
+
+        augment: {left: abs(x - 30 cm)}
+        observation: {left: 0 .. 0.8 m}
+        reward: {parked: 10 when inside, alive: 0}
+        signals: {inside: left < 5 cm}
+        termination: {success: {done: duration(inside) > 1 s}}
+
+    Instead::
+
+        augment: {left: abs(x - 30 cm)}
+        observation: {left: 0 .. 0.8 m}
+        reward: {parked: 10 when done, alive: 0}
+        signals: {inside: left < 5 cm}
+        termination: {success: {done: duration(inside) > 1 s}}
+    """
+    if not context.analysis.reward.is_complete or hovering(context) is not None:
+        return
+    for success in context.program.successes:
+        if success.foreign is None and success not in context.analysis.shadowed:
+            best = max(_Search(context.analysis.ideal, success).paid(), key=lambda earned: earned.total, default=None)
+            if best is not None:
+                yield _finding(context, success, best)
+                return
+
+
+class _Search:
+    """The cycles around one success."""
+
+    def __init__(self, analysis: Analysis, success: Expression) -> None:
+        self._analysis, self._success = analysis, success
+        self._reward = analysis.reward
+        program = analysis.program
+        self._steps = steps_from(analysis, success) * program.action_repeat
+        self._counted = min(self._steps * _SHARE_OF_EPISODE, horizon(self._reward) * program.action_repeat)
+        self._condition = analysis.scalars(success)[0]
+        self._endings = [(ending, analysis.scalars(ending)[0]) for ending in program.endings if ending.foreign is None]
+        self._terms = [node for _, node in self._reward.terms]
+        self._watched = [*self._terms, *(node for _, node in self._endings)]
+        self._tick = program.world.timestep
+        times = hold_times(analysis, [node for _, node in self._endings])
+        self._longest_hold = max((min(_MAX_HELD, ceil(time / self._tick) + 2) for time in times), default=0)
+        self._left = _MAX_PLAYED
+        self._nodes: dict[int, Scalar] = {}
+        _, final = self._reward.split_by_end()
+        self._fine = min(0.0, total_range(final, self._reward.ranges_at(None)).high)
+
+    def paid(self) -> Iterator[Earned]:
+        """What cycles earn that earn more than finishing."""
+        if self._steps * _SHARE_OF_EPISODE < _MIN_STEPS:
+            return
+        inside = [way for way in ways(self._analysis, self._condition) if way]
+        outside = [way for way in ways(self._analysis, self._condition, truth=False) if way][: 2 * _MAX_WAYS]
+        for within in inside[:_MAX_INSIDE]:
+            finish = self._values(within)
+            for cycle in self._cycles(within, finish, outside):
+                earned = self._earned(cycle, finish)
+                if earned is not None and self._is_excessive(earned):
+                    yield earned
+
+    def _is_excessive(self, earned: Earned) -> bool:
+        worth = earned.rate * self._counted
+        return earned.total > max(earned.finishing, 0.0) and worth > MIN_WORTH * max(earned.finishing, 0.0)
+
+    # Cycles
+
+    def _values(self, way: Way) -> dict[int, Interval]:
+        found = {}
+        for key, required in way.items():
+            self._nodes[key] = required.node
+            found[key] = single(value_within(self._analysis.ranges, required))
+        return found
+
+    def _cycles(self, within: Way, finish: Values, outside: list[Way]) -> Iterator[Cycle]:
+        bases: list[tuple[Way, Values]] = []
+        for out in outside:
+            others = {key: required for key, required in within.items() if key not in out}
+            avoiding = merged(out, others)
+            if avoiding is not None:
+                bases.append((out, {**finish, **self._values(avoiding)}))
+        for out, base in bases:
+            yield from self._nearly_held(within, finish, out, base)
+        for out, base in bases[:_MAX_WAYS]:
+            yield from self._crossings(out, base)
+            yield from self._shaken(out, base)
+
+    def _nearly_held(self, within: Way, finish: Values, out: Way, base: Values) -> Iterator[Cycle]:
+        """Success holds but for the time that it must hold."""
+        near = dict(finish)
+        for key, required in out.items():
+            edge = _across(required)
+            if edge is None or key not in within or not within[key].within.low <= edge <= within[key].within.high:
+                continue
+            near[key] = single(edge)
+        held = self._held(base, near)
+        changing = next(iter(out))
+        if held:
+            yield Cycle(((near, held), (base, 1)), changing)
+            yield Cycle(((near, 1), (base, 1)), changing)
+            yield Cycle(((near, max(1, held // 2)), (base, max(1, held // 2))), changing)
+
+    def _held(self, base: Values, near: Values) -> int:
+        """For how many timesteps the values of success do not yet end the episode; 0 where nothing ends it."""
+        course = self._course({**base, **near}, is_moving=False)
+        for _ in range(2):
+            course.advance(base)
+        for count in range(_MAX_HELD):
+            course.advance(near)
+            if course.of(self._condition).high > 0.0:
+                return count
+        return 0
+
+    def _crossings(self, out: Way, base: Values) -> Iterator[Cycle]:
+        """A quantity of the reward crosses a value that a term compares it with."""
+        times = {1, *(min(_MAX_HELD, ceil(time / self._tick) + 2) for time in hold_times(self._analysis, self._terms))}
+        for key, sides in self._sides_in_reward():
+            low, high = ({**base, key: side} for side in sides)
+            yield Cycle(((low, 1),), key)
+            yield Cycle(((high, 1),), key)
+            for one, other in ((low, high), (high, low)):
+                for count in sorted(times):
+                    yield Cycle(((one, count), (other, 1)), key)
+
+    def _sides_in_reward(self) -> Iterator[tuple[int, tuple[Interval, Interval]]]:
+        met = set()
+        for quantity, threshold in thresholds_of(self._analysis, self._terms):
+            key = self._analysis.identity(quantity)
+            if (key, threshold) not in met:
+                met.add((key, threshold))
+                self._nodes[key] = self._analysis.resolve_aliases(quantity)
+                yield key, (single(beyond(threshold, -1.0)), single(beyond(threshold, 1.0)))
+        for part in (part for tree in self._terms for part in self._analysis.walk_definitions(tree)):
+            if isinstance(part, EngineRead) and part.function in FUNCTIONS and FUNCTIONS[part.function].boolean:
+                key = self._analysis.identity(part)
+                self._nodes[key] = part
+                yield key, (NEVER, ALWAYS)
+
+    def _shaken(self, out: Way, base: Values) -> Iterator[Cycle]:
+        """A quantity whose change is paid goes to and fro."""
+        for key, node in self._changing():
+            rate = rate_of(self._analysis, node) * self._tick * _SHARE_OF_SPEED
+            if not 0.0 < rate < INF:
+                continue
+            self._nodes[key] = node
+            start = base[key].low if key in base else self._resting_value(node)
+            away = -1.0 if key in out and out[key].within.low == -INF else 1.0
+            here = {**base, key: single(start + away * 4.0 * rate)}
+            there = {**base, key: single(start + away * 5.0 * rate)}
+            steps = [{**base, key: single(start + away * (4.0 + part / 4.0) * rate)} for part in range(5)]
+            yield Cycle(((here, 1), (there, 1)), key)
+            yield Cycle(tuple((values, 1) for values in steps), key)
+            yield Cycle(tuple((values, 1) for values in reversed(steps)), key)
+
+    def _changing(self) -> Iterator[tuple[int, Scalar]]:
+        met = set()
+        for part in (part for tree in self._terms for part in self._analysis.walk_definitions(tree)):
+            if isinstance(part, State) and part.function in ("delta", "previous"):
+                node = self._analysis.resolve_aliases(part.args[0])
+                key = self._analysis.identity(node)
+                if key not in met and not any(isinstance(inner, State) for inner in self._analysis.walk_definitions(node)):
+                    met.add(key)
+                    yield key, node
+
+    def _resting_value(self, node: Scalar) -> float:
+        known = self._analysis.ranges.of(node)
+        if known.is_finite:
+            return (known.low + known.high) / 2
+        return known.low + 1.0 if known.low > -INF else 0.0
+
+    # Rewards along a cycle
+
+    def _course(self, start: Values, *, is_moving: bool) -> Course:
+        begin = self._analysis.last_step - self._steps / self._analysis.program.action_repeat
+        quantities = {key: self._nodes[key] for key in start}
+        return Course(self._analysis, self._watched, quantities, begin=begin, is_moving=is_moving)
+
+    def _earned(self, cycle: Cycle, finish: Values) -> Earned | None:
+        """What a cycle earns; None where it ends the episode, or where finishing from it is unknown."""
+        turns = max(3, ceil(self._longest_hold / cycle.ticks) + 1)
+        self._left -= (turns + 1) * cycle.ticks
+        if self._left < 0:
+            return None
+        start = cycle.phases[-1][0]
+        course = self._course({**start, **finish}, is_moving=True)
+        sums: dict[str, float] = {}
+        for turn in range(turns):
+            for values, count in cycle.phases:
+                for _ in range(count):
+                    course.advance(values)
+                    if self._ends(course):
+                        return None
+                    if turn == turns - 1:
+                        for term, node in self._reward.terms:
+                            sums[term.name] = sums.get(term.name, 0.0) + course.of(node).high
+        rates = {name: paid / cycle.ticks for name, paid in sums.items()}
+        rate = sum(rates.values())
+        if not 0.0 < rate < INF:
+            return None
+        finishing = self._finishing(course, {**start, **finish})
+        if finishing is None:
+            return None
+        return Earned(cycle, rates, rate, rate * self._steps * _SHARE_OF_EPISODE + self._fine, finishing)
+
+    def _ends(self, course: Course) -> bool:
+        for ending, node in self._endings:
+            known = course.of(node)
+            if (known.high if ending in self._analysis.program.successes else known.low) > 0.0:
+                return True
+        return False
+
+    def _finishing(self, course: Course, finish: Values) -> float | None:
+        paid = 0.0
+        for _ in range(_MAX_HELD):
+            course.advance(finish)
+            is_reached = course.of(self._condition).high > 0.0
+            if is_reached:
+                course.end({"terminated": ALWAYS, "ended": ALWAYS})
+            paid += sum(course.of(node).high for node in self._terms)
+            if is_reached:
+                return paid if paid < INF else None
+        return None
+
+
+def _across(required: Required) -> float | None:
+    """A value just on the other side of the bound of a requirement."""
+    low, high = required.within
+    if low == high:
+        return 1.0 - low if low in (0.0, 1.0) else None
+    return beyond(low, -1.0) if low > -INF else beyond(high, 1.0)
+
+
+# Words
+
+
+def _finding(context: RuleContext, success: Expression, best: Earned) -> Finding:
+    name = max(best.rates, key=lambda term: best.rates[term])
+    term = next(term for term in context.program.agent.reward if term.name == name)
+    headline = f"a cycle that avoids `{success.name}` earns up to {best.rate:.3g} per step, {best.total:.4g} in half an episode"
+    headline += f"; going on to `{success.name}` earns {best.finishing:.3g}"
+    help = "pay at the end of the episode, as in `10 when success`, or pay progress, as in `-10 * delta(distance) / m`"
+    help = help.replace("success", success.name)
+    labels = (Label(success.span, "never comes true in the cycle"),)
+    return Finding("DB716", term.span, headline, help, notes=(_description(context, best.cycle),), labels=labels)
+
+
+def _description(context: RuleContext, cycle: Cycle) -> str:
+    text, dimension = _texts(context).get(cycle.changing, ("the compared quantity", None))
+    parts = []
+    for values, count in cycle.phases:
+        value = values[cycle.changing]
+        said = with_unit(float(f"{value.low:.4g}"), dimension) if dimension is not None else f"{value.low:.4g}"
+        if dimension is None and value in (ALWAYS, NEVER):
+            said = "true" if value == ALWAYS else "false"
+        parts.append(said if cycle.ticks == 1 else f"{said} for {count} step{'s' if count > 1 else ''}")
+    return f"the cycle: `{text}` {'stays' if cycle.ticks == 1 else 'is'} {', then '.join(parts)}"
+
+
+def _texts(context: RuleContext) -> dict[int, tuple[str, Dimension | None]]:
+    """How the scenario writes quantities, at the shortest, by their identity, with their dimension; None for truth values."""
+    analysis, found = context.analysis.ideal, dict[int, tuple[str, Dimension | None]]()
+    values = [*context.program.endings, *context.program.signals, *context.program.agent.reward]
+    for value in values:
+        for node in walk(value.typed) if value.foreign is None else ():
+            parts = node.args if isinstance(node, Operation) else (node,)
+            for part in parts:
+                trees = analysis.lowered(part, value.owner)
+                text, dimension = value.text[part.start : part.end], None if part.type.boolean else part.type.dimension
+                key = analysis.identity(trees[0])
+                if len(trees) == 1 and text and (key not in found or len(text) < len(found[key][0])):
+                    found[key] = text, dimension
+    return found
+
+
+STATIC_RULES = (cycle_pays,)
