@@ -24,15 +24,17 @@ import numpy as np
 
 import deepbots_cli
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
+from deepbots_cli.diagnostics import Span
+from deepbots_cli.diagnostics.findings import Source as Text
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.insight import figures
 from deepbots_cli.insight.diagnosis import causes_after
-from deepbots_cli.insight.linted import linted_scenario
-from deepbots_cli.insight.templates import render_template
+from deepbots_cli.insight.linted import LintedScenario, linted_scenario
 from deepbots_cli.insight.statements import Statement
+from deepbots_cli.insight.templates import render_template
 from deepbots_cli.learning.episodes import UNBOUNDED
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, EvaluationWithEpisodes, Run, RunRecord, in_parentheses, is_training
@@ -138,6 +140,9 @@ class Report:
     """The parts whose trajectories are drawn."""
     outlines: Sequence[list[Triple]] = ()
     """The outlines of objects that stand still in all of them."""
+    causes: Sequence[Statement] = ()
+    """Why the run `diagnosed` does not solve its task, the most likely first."""
+    diagnosed: str = ""
 
     @staticmethod
     def read(path: Path) -> Report:

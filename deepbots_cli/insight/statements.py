@@ -95,8 +95,8 @@ def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Stat
             shown = {key: _number_text(value) for key, value in evidence.items()}
             text, _, advice = " ".join((finder.__doc__ or "").split()).partition(" Try: ")
             settings, kept = evidence.get("settings", {}), {key: value for key, value in evidence.items() if key != "settings"}
-            sentences = (form.format(**shown).strip() for form in (text, advice))
-            found.append(Statement(finder.__name__, *sentences, kept, settings))
+            sentence, remedy = (form.format(**shown).strip() for form in (text, advice))
+            found.append(Statement(finder.__name__, sentence, remedy, kept, settings))
     return found
 
 

@@ -32,8 +32,8 @@ def command(
     The file holds the result with its interval, learning curves, reward terms, endings, plots of the return against each value that
     is drawn at random at the start of an episode, trajectories, and clips of the best, the median and the worst episode. Of a training
     with a teacher, it holds the score of the script and how the policy learns from it. Of a training that does not solve its task, it holds
-    the causes, as `deepbots diagnose` finds them. It also holds the scenario, the findings of lint and the versions. It loads nothing from elsewhere, needs no JavaScript, and can be sent and archived as it is. It follows the light or dark
-    setting of the browser.
+    the causes, as `deepbots diagnose` finds them. It also holds the scenario, the findings of lint and the versions. It loads nothing from
+    elsewhere, needs no JavaScript, and can be sent and archived as it is. It follows the light or dark setting of the browser.
 
     The results come from an evaluation of the best model; if there are several evaluations, from the one with the most episodes.
     `deepbots eval RUN --episodes N` adds an evaluation. Clips need an engine that can draw; --no-clips leaves them out.
