@@ -83,7 +83,7 @@ def reward_exploited(t: TrainingEvidence) -> Numbers | None:
     if term and t.facts.is_progress(term):
         once = f"Scale {named} down"
     return {
-        "likelihood": 0.957,
+        "likelihood": 0.929,  # behind the causes that name what the policy does instead
         "what": outcome.name,
         "gained": gained,
         "by_script": expected,
