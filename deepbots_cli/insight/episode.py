@@ -10,12 +10,14 @@ import numpy as np
 
 from deepbots_cli.insight.conditions import (
     SIGN_OF_OPERATOR,
+    Comparison,
     comparisons_in,
     holds,
     measure,
     missing_comparisons,
 )
 from deepbots_cli.insight.missed import inner_comparisons, missed_success, nearest_moment
+from deepbots_cli.insight.scenario_facts import written_unit
 from deepbots_cli.insight.statements import MAX_LISTED, Numbers, Statement, StatementRule, list_text, quantity_text, statements_about
 from deepbots_cli.insight.trace import Trace
 
@@ -43,6 +45,11 @@ def explanation_json(trace: Trace, statements: Sequence[Statement]) -> dict[str,
         "statements": [statement.as_json() for statement in statements],
         "notes": list(trace.notes),
     }
+
+
+def _shown(leaf: Comparison, value: float, digits: int = 4) -> str:
+    """A value of a comparison in the unit in which the scenario writes its threshold."""
+    return quantity_text(value, leaf.unit, digits, written=written_unit(leaf.unit, *reversed(leaf.sides)))
 
 
 def _seconds(time: float) -> str:
@@ -77,11 +84,11 @@ def margin(trace: Trace) -> Numbers | None:
     end = trace.end
     if end is None or end.margin is None or end.bound is None:
         return None
-    unit, (value, bound) = end.condition.unit, end.condition.sides
+    value, bound = end.condition.sides
     named = f" ({bound})" if not bound[:1].isdigit() else ""
     where = "over" if end.value > end.bound else "under" if end.value < end.bound else "away from"
-    return {**end.as_json(), "side": value, "shown": quantity_text(end.value, unit), "limit": quantity_text(end.bound, unit) + named,
-            "by": quantity_text(abs(end.margin), unit, 3), "where": where}  # fmt: skip
+    return {**end.as_json(), "side": value, "shown": _shown(end.condition, end.value), "limit": _shown(end.condition, end.bound) + named,
+            "by": _shown(end.condition, abs(end.margin), 3), "where": where}  # fmt: skip
 
 
 def truth_ending(trace: Trace) -> Numbers | None:
@@ -115,7 +122,7 @@ def approach(trace: Trace) -> Numbers | None:
     if start >= len(margins) - 2:
         return None
     return {"step": start, "steps": len(margins) - 1 - start, "at": trace.time_at(start), "seconds": _seconds(trace.time_at(start)),
-            "from": quantity_text(past[start].value, leaf.unit), "side": leaf.sides[0]}  # fmt: skip
+            "from": _shown(leaf, past[start].value), "side": leaf.sides[0]}  # fmt: skip
 
 
 def nearest(trace: Trace) -> Numbers | None:
@@ -132,7 +139,7 @@ def nearest(trace: Trace) -> Numbers | None:
     never = not any(measure(leaf, values).holds for values in trace.values)
     beside = [step for step, leaves in enumerate(missing) if len(leaves) == fewest and leaf in leaves]
     step, found = nearest_moment(trace, leaf, () if never else beside)
-    limit, value = (quantity_text(number or 0.0, leaf.unit) for number in (found.bound, found.value))
+    limit, value = (_shown(leaf, number or 0.0) for number in (found.bound, found.value))
     others = "" if never or fewest > 1 else "while the other conditions were true, "
     negated = leaf.operator == "not_equal"
     if leaf.bound is not None:
@@ -154,7 +161,7 @@ def conditions(trace: Trace) -> Numbers | None:
         beside = [k for k, values in enumerate(trace.values) if steps and all(measure(o, values).holds for o in inner if o is not leaf)]
         step, best = nearest_moment(trace, leaf, beside)
         found.append({**best.as_json(), "step": step, "time": trace.time_at(step), "steps": steps, "beside_others": bool(beside)})
-        value, bound = quantity_text(best.value, leaf.unit), quantity_text(best.bound or 0.0, leaf.unit)
+        value, bound = _shown(leaf, best.value), _shown(leaf, best.bound or 0.0)
         during = " while the others were true" if beside and len(inner) > 1 else ""
         came = f" (nearest value{during}: {value} at {_seconds(trace.time_at(step))}, threshold {bound})" if leaf.bound else ""
         said.append(f"`{leaf.text}` was true in {steps} of {len(trace.values)} moments{came}")

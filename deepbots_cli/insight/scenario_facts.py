@@ -25,6 +25,7 @@ _WORD = r"(?:[A-Za-z]+|%)(?:\^-?\d)?"
 _UNIT = re.compile(rf"{NUMBER}\s*({_WORD}(?:[*/]{_WORD})*)")
 _COMPOUND = re.compile(rf"(?:{NUMBER})\s*\(({_WORD}(?:[*/]{_WORD})*)\)")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:\.[A-Za-z_][A-Za-z0-9_]*)*")
+_DEFINITIONS = ("parameters", "signals", "augment")
 _MAX_TEXT = 10_000  # letters of an expression that are searched for a unit
 
 
@@ -128,24 +129,22 @@ class ScenarioFacts:
         """A value of an observed number, given in SI units, in the unit of its range in the file."""
         node = node_at(self._root, "observation", number.name) if self._root is not None else None
         texts = [] if node is None else [inline_text(node)]
-        return quantity_text(value, number.unit, written=self.written_unit(number.unit, *texts))
+        return quantity_text(value, number.unit, written=written_unit(number.unit, *texts))
 
     def written_unit(self, unit: str, *texts: str) -> Unit | None:
         """The unit of the file for a quantity in the SI unit `unit`, or None.
 
         It is the first one in the texts that fits, then the first in the definitions of names in them.
         """
-        for text in texts:
-            for found in _units_in(text):
-                if str(found.dimension) == unit:
-                    return found
-        parameters = {parameter.name: parameter.text for parameter in self.program.parameters}
         names = [name for text in texts for name in _NAME.findall(text[:_MAX_TEXT])]
-        for definition in (parameters[name] for name in names if name in parameters):
-            for found in _units_in(definition):
-                if str(found.dimension) == unit:
-                    return found
-        return None
+        nodes = [node_at(self._root, section, name) for name in names for section in _DEFINITIONS] if self._root else []
+        return written_unit(unit, *texts, *(inline_text(node) for node in nodes if node is not None))
+
+
+def written_unit(unit: str, *texts: str) -> Unit | None:
+    """The first unit in the texts that measures the same as the SI unit `unit`, or None."""
+    units = (found for text in texts for found in _units_in(text))
+    return next((found for found in units if str(found.dimension) == unit), None)
 
 
 def _units_in(text: str) -> Iterator[Unit]:
