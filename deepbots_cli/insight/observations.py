@@ -36,7 +36,7 @@ def sensor_without_reading(t: TrainingEvidence) -> Numbers | None:
 def _spans(t: TrainingEvidence) -> dict[str, tuple[float, float]]:
     """Of each number of the observation: how far it moves in the short episodes, and its first value.
 
-    The previous action and constants of the scenario, such as a parameter, are left out: no sensor measures them.
+    The previous action is left out, and so are parameters and what is made of them: no sensor measures them.
     """
     if t.probe_moments < 2 * MIN_EPISODES:
         return {}
@@ -45,7 +45,7 @@ def _spans(t: TrainingEvidence) -> dict[str, tuple[float, float]]:
     return {
         number.full_name: (float(span), float(first))
         for number, (span, first) in zip(t.program.agent.numbers, spans, strict=True)
-        if number.name != "previous_action" and not t.facts.is_constant(number)
+        if number.name != "previous_action" and t.facts.is_measured(number)
     }
 
 

@@ -56,10 +56,11 @@ class ScenarioFacts:
         """The longest history of a value of the observation, in steps; 1 where the policy sees the newest values only."""
         return max((entry.history for entry in self.program.agent.observation), default=1)
 
-    def is_constant(self, number: ObservedNumber) -> bool:
-        """Whether a number of the observation is the same in all steps of all episodes by its definition."""
+    def is_measured(self, number: ObservedNumber) -> bool:
+        """Whether a number of the observation may differ in each step: no parameter, and no value made of parameters."""
         entry = next(entry for entry in self.program.agent.observation if entry.name == number.name)
-        return entry.value.foreign is None and entry.value.typed.type.known is Known.FIXED and entry.noise is None
+        known = entry.value.typed.type.known
+        return entry.value.foreign is not None or known is Known.STEP or entry.noise is not None
 
     def observes(self, name: str) -> bool:
         """Whether the observation depends on a value, such as a drawn parameter; its effect in the world is left out."""
