@@ -205,18 +205,24 @@ def has_learned(t: TrainingEvidence) -> Literal["exploring", "evaluated"] | None
         """In a scenario without `solved`."""
         return solved is None and succeeds and len(successes) >= MIN_EPISODES and fmean(successes) >= required
 
-    result = t.run.record.result
-    # A version before 0.2 took the episodes of the training; since then, a confirmation does not explore.
-    is_solved = result is not None and result.solved_at is not None and result.confirmed_at is None
-    if solved is not None and t.is_last_stage and len(recent := t.episodes[-solved.episodes :]) == solved.episodes:
-        is_solved |= meets_solved(solved, float(recent.returns.mean()), float(recent.successes.mean()))
     final = SuccessRate([each.is_success for each in t.final_episodes])
     excluded = succeeds and final.episodes >= MIN_EPISODES and final.high < required
-    if not excluded and (is_solved or (t.is_last_stage and suffices(t.episodes.successes[-100:]))):
+    if not excluded and (_met_while_exploring(t) or (t.is_last_stage and suffices(t.episodes.successes[-100:]))):
         return "exploring"
     evaluated = t.evaluations[-1]["successes"] if t.evaluations and t.program.defines_success else ()
     last = evaluated if t.is_last_stage else [each.is_success for each in t.final_episodes]
     return "evaluated" if t.solved or suffices(last) else None
+
+
+def _met_while_exploring(t: TrainingEvidence) -> bool:
+    """Whether episodes of the training, which explore, met `solved`."""
+    solved, result = t.run.program.agent.solved, t.run.record.result
+    if result is None or result.solved_at is None:
+        return False
+    if result.confirmed_at is None or solved is None:  # versions before 0.2 did not confirm
+        return True
+    recent = t.episodes[-solved.episodes :] if t.is_last_stage else t.episodes[:0]
+    return len(recent) > 0 and meets_solved(solved, float(recent.returns.mean()), float(recent.successes.mean()))
 
 
 # Faults
@@ -391,11 +397,14 @@ def horizon_too_short(t: TrainingEvidence) -> Numbers | None:
     length = float(np.median(won)) if seen else float(t.program.truncation.max_episode_steps(t.program.period))
     if length * (1.0 - gamma) < _HIDDEN:
         return None
+    is_far = length * (1.0 - gamma) > 5 * _HIDDEN
+    if not (seen or is_far) and (t.facts.terms_towards_success or not t.program.defines_success):
+        return None  # rewards on the way do
     wanted = min(0.999, round(1.0 - 3.0 / length, 3))  # a weight of 5 %
     if wanted <= gamma:
         return None
     # A factor that is far too small; else rewards on the way may do.
-    return {"likelihood": 0.915 if length * (1.0 - gamma) > 5 * _HIDDEN else 0.45, "gamma": gamma, "length": round(length),
+    return {"likelihood": 0.915 if is_far else 0.45, "gamma": gamma, "length": round(length),
             "of": "the median of the successes" if seen else "the limit of an episode", "weight": Percentage(gamma**length),
             "wanted": wanted, "settings": {"train.gamma": f"{wanted:g}"}}  # fmt: skip
 

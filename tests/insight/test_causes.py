@@ -6,7 +6,6 @@ import shutil
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -304,15 +303,15 @@ def test_a_value_is_shown_in_the_unit_of_the_file(tmp_path):
 # One verdict
 
 
-def test_a_confirmed_training_whose_episodes_are_random_is_told_its_exploration(carriage):
-    """`solved` was confirmed without exploration, and the training was said to have solved the task while exploring."""
-    training = with_logs(carriage, returns_of(np.zeros(400), 0), FLAT, evaluations=evaluations_with(1.0, 1.0))
+def test_a_confirmed_training_whose_episodes_are_random_is_told_its_exploration(tmp_path):
+    """A confirmation does not explore, and it was taken for episodes of the training."""
+    run = train_shuttle(tmp_path, "solved=success_rate >= 90 % over 100 episodes")
+    training = with_logs(run, returns_of(np.zeros(400), 0), FLAT, evaluations=evaluations_with(1.0, 1.0))
     record = training.run.record
     at = SolvedAt(episode=9, steps=9, simulated_hours=1.0, cpu_seconds=1.0, mean_return=4.0, success_rate=1.0)
-    result = record.result.model_copy(update={"solved_at": at, "confirmations": 1})
-    training.run.record = record.model_copy(update={"result": result})
-    solved = replace(training, verdict=SimpleNamespace(solved=True, evaluation=None))
-    assert has_learned(solved) == "evaluated"
-    older = result.model_copy(update={"confirmations": 0})
-    training.run.record = record.model_copy(update={"result": older})
-    assert has_learned(solved) == "exploring"
+    confirmed = record.result.model_copy(update={"solved_at": at, "confirmations": 1})
+    training.run.record = record.model_copy(update={"result": confirmed})
+    assert has_learned(training) == "evaluated"
+    before = confirmed.model_copy(update={"confirmations": 0})
+    training.run.record = record.model_copy(update={"result": before})
+    assert has_learned(training) == "exploring"
