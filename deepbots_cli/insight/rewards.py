@@ -342,11 +342,13 @@ def _rising_term(t: TrainingEvidence) -> tuple[str, float, float] | None:
 
 _CEILING = 0.01
 """Returns that differ by less than this share are the same one."""
+_FLAT_EVALUATIONS = 3
+"""Evaluations from which on their mean returns show whether the return still grows."""
 
 
 def return_at_ceiling(t: TrainingEvidence) -> Numbers | None:
-    """The return is at its ceiling: {late} in {episodes} late episodes (from {low} to {high}), and no episode of the training
-    returned more than {most}.{bounded}{asked}
+    """The return is at its ceiling: it is {mean} in all of {episodes} {what} (from {low} to {high}), it no longer grows, and no episode of
+    the training returned more than {most}.{bounded}{asked}
 
     Try: {remedy}
     """
@@ -354,42 +356,50 @@ def return_at_ceiling(t: TrainingEvidence) -> Numbers | None:
     required = None if solved is None else solved.mean_return
     if len(t.episodes) < 4 * MIN_EPISODES or (solved is not None and required is None) or not t.is_last_stage:
         return None
-    mean = float(late.returns.mean())
-    low, high, most = float(late.returns.min()), float(late.returns.max()), float(t.episodes.returns.max())
+    what, returns = "late episodes of the training", late.returns
+    if len(t.final_episodes) >= MIN_EPISODES:
+        what, returns = "episodes of the evaluation", np.array([each.total_return for each in t.final_episodes])
+    mean, low, high = float(returns.mean()), float(returns.min()), float(returns.max())
     if mean <= 0 or (required is not None and mean >= required) or (t.program.defines_success and late.successes.mean() < 0.8):
         return None
+    most = max(high, float(t.episodes.returns.max()))
     _, bound = possible_returns(t.program)
-    near = bound < np.inf and mean >= 0.95 * bound
+    is_near = bound < np.inf and mean >= 0.95 * bound
     # The same return in each episode may also be that of standing still, or that of a local optimum, which others exceed.
-    still = bool(t.idle) and _per_step(t.idle) >= 0.9 * _per_step(t.policy or t.idle)
-    same = high - low <= 2 * _CEILING * mean and most <= (1 + 2 * _CEILING) * mean
-    grown = float(t.episodes_between(0.0, 0.1).returns.mean()) < 0.9 * mean
-    evaluated = [value for each in t.evaluations[-3:] for value in each["returns"]]
-    if evaluated and max(evaluated) > (1 + 3 * _CEILING) * mean:
+    stands = bool(t.idle) and _per_step(t.idle) >= 0.9 * _per_step(t.policy or t.idle)
+    is_same = high - low <= 2 * _CEILING * mean and most <= (1 + 2 * _CEILING) * mean
+    has_grown = float(t.episodes_between(0.0, 0.1).returns.mean()) < 0.9 * mean
+    if not is_near and (stands or not is_same or not has_grown or not _is_flat(t, mean)):
         return None
-    if not near and (still or not same or not grown):
-        return None
-    limit = t.program.truncation.max_episode_steps(t.program.period)
-    bounded = f" The reward allows at most {bound:.4g} in {limit:,} steps." if bound < np.inf else ""
-    asked = "" if required is None else f" `solved` asks for {required:g}."
-    reachable = f"{np.floor(98 * mean) / 100:.3g}"
-    remedy = "More steps of training cannot raise it. Pay more for what the policy should still improve, or accept the policy."
+    steps = t.program.truncation.max_episode_steps(t.program.period)
+    remedy = "Pay more for what the policy should still improve, or accept the policy: more steps cannot raise this return."
     if required is not None:
-        remedy = f"Ask for a return that is possible, such as `solved: mean_return >= {reachable}`, or raise what limits it: "
-        remedy += "the time of an episode, or the speed of the robot. More exploration or a longer training cannot."
+        remedy = f"Ask for a return that is possible, such as `mean_return >= {np.floor(98 * mean) / 100:.3g}`, or raise what limits"
+        remedy += " it: the time of an episode, or the speed of the robot. More exploration or a longer training cannot."
     return {
         "likelihood": 0.952,
-        "late": mean,
+        "mean": mean,
         "low": low,
         "high": high,
         "most": most,
-        "episodes": len(late),
+        "episodes": len(returns),
+        "what": what,
         "bound": bound if bound < np.inf else None,
         "required": required,
-        "bounded": bounded,
-        "asked": asked,
+        "bounded": f" The reward allows at most {bound:.4g} in {steps:,} steps." if bound < np.inf else "",
+        "asked": "" if required is None else f" `solved` asks for {required:g}.",
         "remedy": remedy,
     }
+
+
+def _is_flat(t: TrainingEvidence, mean: float) -> bool:
+    """Whether the evaluations of the second half of the stage all have this mean return, or else the training's own episodes."""
+    half = t.first_step + 0.5 * t.stage_steps
+    done = [fmean(each["returns"]) for each in t.evaluations if "steps" in each and each["steps"] >= half]
+    if len(done) >= _FLAT_EVALUATIONS:
+        return max(abs(value - mean) for value in done) <= 2 * _CEILING * mean
+    third, last = (t.episodes_between(share, share + 0.25).returns.mean() for share in (0.5, 0.75))
+    return bool(abs(last - third) <= 2 * _CEILING * mean and abs(last - mean) <= 2 * _CEILING * mean)
 
 
 def silent_terms(t: TrainingEvidence) -> Numbers | None:

@@ -341,7 +341,8 @@ def run_probes(
         longest = training.program.truncation.max_episode_steps(training.program.period)
         for name in scripts:
             starts = (derive_seed(run.record.seed, "diagnosis", number) for number in range(SCRIPT_EPISODES))
-            training.scripts[name] = [trace for seed in starts for trace in episode(seed, named_driver(world, name), longest)]
+            played = [trace for seed in starts for trace in episode(seed, named_driver(world, name), longest)]
+            training.scripts[name] = [trace for trace in played if trace.outcome != "not ended"]  # that the deadline cut
     training.failed = _repeat_failed(training, deadline, permissions)
 
 
