@@ -373,8 +373,9 @@ def return_at_ceiling(t: TrainingEvidence) -> Numbers | None:
         return None
     steps = t.program.truncation.max_episode_steps(t.program.period)
     remedy = "Pay more for what the policy should still improve, or accept the policy: more steps cannot raise this return."
-    if required is not None:
-        remedy = f"Ask for a return that is possible, such as `mean_return >= {np.floor(98 * mean) / 100:.3g}`, or raise what limits"
+    if solved is not None and required is not None:
+        remedy = "Ask for a return that is possible, such as"
+        remedy += f" `mean_return >= {np.floor(98 * mean) / 100:.3g} over {solved.episodes} episodes`, or raise what limits"
         remedy += " it: the time of an episode, or the speed of the robot. More exploration or a longer training cannot."
     return {
         "likelihood": 0.952,
@@ -386,7 +387,7 @@ def return_at_ceiling(t: TrainingEvidence) -> Numbers | None:
         "what": what,
         "bound": bound if bound < np.inf else None,
         "required": required,
-        "bounded": f" The reward allows at most {bound:.4g} in {steps:,} steps." if bound < np.inf else "",
+        "bounded": f" The reward allows at most {bound:.4g} in {steps:,} steps." if is_near else "",
         "asked": "" if required is None else f" `solved` asks for {required:g}.",
         "remedy": remedy,
     }
