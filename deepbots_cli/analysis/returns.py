@@ -7,13 +7,16 @@ from typing import TYPE_CHECKING
 from deepbots_cli.analysis.ranges import Ranges
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, Interval
-from deepbots_cli.expressions.scalar import Scalar
+from deepbots_cli.expressions.scalar import Scalar, State
 from deepbots_cli.program.values import Expression
 
 if TYPE_CHECKING:
     from deepbots_cli.analysis import Analysis
 
 Terms = list[tuple[Expression, Scalar]]
+
+_PROGRESS_FUNCTIONS = frozenset({"delta", "previous", "running_min", "running_max", "accumulate", "rising_edge", "hold"})
+"""Functions that pay for getting somewhere, and nothing for staying."""
 
 
 class RewardTerms:
@@ -90,3 +93,8 @@ def return_range(analysis: Analysis) -> Interval:
     high = step.high * (ticks if step.high > 0.0 else fewest) + end.high if step.high < INF else INF
     low = step.low * (ticks if step.low < 0.0 else fewest) + end.low if step.low > -INF else -INF
     return Interval(low, high)
+
+
+def is_progress(analysis: Analysis, node: Scalar) -> bool:
+    """Whether a value depends on what was before."""
+    return any(isinstance(part, State) and part.function in _PROGRESS_FUNCTIONS for part in analysis.walk_definitions(node))

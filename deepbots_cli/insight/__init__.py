@@ -5,8 +5,10 @@ trace.py       an episode that runs again, with what each step saw, did, earned 
 statements.py  sentences with their evidence: the form of every row in the two tables
 episode.py     the table that explains an episode
 training.py    what is known of a training: its logs, and a few short episodes
-diagnosis.py   the table of causes why a training does not learn; stages.py those of stages, starts and rare success,
-               rewards.py those of the reward
+scenario_facts.py  what a scenario has already, and the units of its file; linted.py what lint says of it
+diagnosis.py   the table of causes why a training does not learn, with those of the learner; rewards.py those of the reward,
+               observations.py of the observation, stages.py of stages, starts and rare success, teachers.py of scripts,
+               missed.py of a condition that is missed, ends.py of the end
 robot_log.py   the log of a robot beside the simulation: values with another distribution
 transfer.py    what differs between two worlds of a scenario, such as two engines, and which change explains it
 retry.py       trainings that follow one another with the values that the diagnosis advises

@@ -18,14 +18,32 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from deepbots_cli.analysis import unobserved_reads
+from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError
 from deepbots_cli.insight.collapse import fell_apart
+from deepbots_cli.insight.ends import (
+    TOTAL_TIMESTEPS,
+    kept_by_return,
+    one_ending,
+    stopped_early,
+    too_few_steps,
+    training_length,
+)
+from deepbots_cli.insight.linted import linted_scenario
+from deepbots_cli.insight.missed import missed_condition
+from deepbots_cli.insight.observations import (
+    SAME_TOLERANCE,
+    constant_observation,
+    saturated_observation,
+    sensor_without_reading,
+)
 from deepbots_cli.insight.rewards import (
     ending_early_pays,
     loitering,
+    return_at_ceiling,
     reward_apart_from_success,
+    reward_exploited,
     silent_terms,
     standing_still_pays,
     term_dominates,
@@ -36,7 +54,6 @@ from deepbots_cli.insight.stages import (
     easy_stage_counted,
     hides_success,
     needs_exploration,
-    plateau,
     some_starts_fail,
     stage_too_hard,
     stuck_in_stage,
@@ -50,41 +67,47 @@ from deepbots_cli.insight.statements import (
     StatementRule,
     SuccessRate,
     list_text,
-    quantity_text,
     statements_about,
 )
-from deepbots_cli.insight.trace import Array, Trace
+from deepbots_cli.insight.teachers import script_succeeds, teacher_fails, teacher_sees_more
+from deepbots_cli.insight.trace import Trace
 from deepbots_cli.insight.training import (
     MIN_EPISODES,
     TrainingEvidence,
     latest_failure,
-    lint_findings,
-    named_source,
     read_training,
     returns_rise,
     run_probes,
     training_command,
 )
-from deepbots_cli.learning.report import longer_goal
+from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import default_values, longest_episode
-from deepbots_cli.program.task import Observation
 from deepbots_cli.runtime.supervisor import TRUE_AT_RESET
 
-TOTAL_TIMESTEPS = "train.total_timesteps"
-"""The setting whose new value continues a training, where the others begin another one."""
-
-_SAME_TOLERANCE = 1e-6  # numbers of the observation, from -1 to 1, that differ by less are equal
-_UNLEARNABLE = {"DB705", "DB708", "DB711", "DB807", "DB810"}
-"""Lint shows by these that failing or avoiding the success earns most, that all policies earn the same, or that what is required is out of
-reach."""
-CERTAIN, _SYMPTOMS = 0.9, {"too_few_steps", "one_ending", "success_plateau"}
-"""Beside a cause that is as likely as this, the length of the training, its most frequent ending and a flat success are no causes."""
+_UNLEARNABLE = {
+    "DB705": "Failing early pays",
+    "DB708": "Avoiding the success pays more than the success",
+    "DB711": "Every policy earns the same",
+    "DB807": "The success is out of reach",
+    "DB810": "`solved` asks for what no policy can miss or reach",
+}
+"""What findings of lint mean for a training that cannot learn its task."""
+CERTAIN, _SYMPTOMS = 0.9, {"too_few_steps", "one_ending", "success_plateau", "missed_condition"}
+"""Beside a cause that is as likely as this, the length of the training, its most frequent ending, a flat success and the condition that is
+missed are no causes."""
+_EXPLAINED = {
+    "return_at_ceiling": {"exploration_collapsed", "learning_rate_too_low", "too_few_steps"},
+    "reward_exploited": {"reward_apart_from_success", "exploration_collapsed", "success_needs_exploration"},
+    "ending_early_pays": {"exploration_collapsed", "success_never_seen"},
+    "missed_condition": {"success_plateau"},
+}
+"""What a cause explains, so that it is no cause beside it: a policy that repeats what pays most does not explore too little."""
 _LARGE_RETURN = 1000.0
 """Absolute mean returns from which on a critic of the usual learning rate falls behind: CartPole with 1000 for each step is not learned."""
 _HIDDEN = 6.0
 """Steps in units of 1 / (1 - gamma) after which a reward has less than 0.3 % of its weight."""
-_PROVISIONAL_CAUSES = {"success_never_seen", "silent_terms", "one_ending", "exploration_too_large"}
+_PROVISIONAL_CAUSES = {"kept_by_return", "success_never_seen", "silent_terms", "one_ending", "exploration_too_large"}
 """What may still change in a training or a stage that is young: a cause only once it is mature, or if it is certain."""
 
 
@@ -104,11 +127,15 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
     causes = CAUSES
     if learned:  # starts that fail are of interest where the scenario does not say how many may
         starts = (some_starts_fail,) if training.run.program.agent.solved is None else ()
-        causes = (fell_apart, stopped_early, teacher_sees_more, *starts, *((exploration_too_large,) if learned == "evaluated" else ()))
+        explored = (exploration_too_large,) if learned == "evaluated" else ()
+        causes = (fell_apart, stopped_early, kept_by_return, teacher_sees_more, *starts, *explored)
     found = sorted(statements_about(causes, training), key=lambda each: -each.evidence["likelihood"])
     unlikely = [statement for statement in found if statement.evidence["likelihood"] < CERTAIN]
-    left_out = (_SYMPTOMS if len(unlikely) < len(found) else set()) | (set() if training.is_mature else _PROVISIONAL_CAUSES)
+    left_out = set[str]() if training.is_mature else set(_PROVISIONAL_CAUSES)
+    left_out |= _SYMPTOMS if len(unlikely) < len(found) else set()
     kept = [statement for statement in found if not (statement in unlikely and statement.cause in left_out)]
+    explained = set[str]().union(*(_EXPLAINED.get(statement.cause, ()) for statement in kept))
+    kept = [statement for statement in kept if statement.cause not in explained]
     return [replace(statement, command=_next_command(training, statement)) for statement in kept]
 
 
@@ -131,6 +158,7 @@ def causes_after(run: Path, permissions: Permissions = Permissions()) -> list[St
 
 _COMMANDS: Mapping[str, str] = {
     "action_without_effect": "inspect {run}",
+    "kept_by_return": "eval {run} --details",
     "constant_observation": "inspect {run}",
     "easy_stage_counted": "eval {run} --details",
     "ending_at_reset": "lint --deep {run}/resolved.yaml",
@@ -143,6 +171,7 @@ _COMMANDS: Mapping[str, str] = {
     "stage_too_hard": "eval {run} --details",
     "standing_still_pays": "try {scenario} --driver zero",
     "stuck_in_stage": "eval {run} --details",
+    "teacher_fails": "try {scenario} --driver {script} --episodes 20",
     "term_dominates": "try {scenario}",
 }
 """What shows more of a cause, where no value under `train` is advised; for all others a failed episode."""
@@ -162,11 +191,16 @@ def _next_command(t: TrainingEvidence, statement: Statement) -> str:
     has_failed_episode = not all(each.is_success for each in t.final_episodes) and (
         t.run.program.defines_success or any(each.ended_by in t.run.program.failures for each in t.final_episodes))  # fmt: skip
     form = _COMMANDS.get(statement.cause, "diagnose {run} --episode failed" if has_failed_episode else "view {run}")
-    return "deepbots " + form.format(run=path, path=statement.evidence.get("path"), scenario=quote(named_source(run.record.source)))
+    return "deepbots " + form.format(
+        run=path,
+        path=statement.evidence.get("path"),
+        scenario=t.scenario_argument,
+        script=statement.evidence.get("script"),
+    )
 
 
 def has_learned(t: TrainingEvidence) -> Literal["exploring", "evaluated"] | None:
-    """Whether the policy has learned the task, in the episodes of the training or only in evaluations, which do not explore.
+    """Whether the policy has learned the task: in the episodes of the training, or only in evaluations, which do not explore.
 
     The task is the scenario itself, or the last stage of its curriculum. The task is not learned if an evaluation after the training
     excludes it. In a scenario without `solved`, the task is learned from a success rate of 80 % on.
@@ -178,15 +212,24 @@ def has_learned(t: TrainingEvidence) -> Literal["exploring", "evaluated"] | None
         """In a scenario without `solved`."""
         return solved is None and succeeds and len(successes) >= MIN_EPISODES and fmean(successes) >= required
 
-    result = t.run.record.result
-    is_solved = result is not None and result.solved_at is not None  # while exploring, which only the last stage can
     final = SuccessRate([each.is_success for each in t.final_episodes])
     excluded = succeeds and final.episodes >= MIN_EPISODES and final.high < required
-    if not excluded and (is_solved or (t.is_last_stage and suffices(t.episodes.successes[-100:]))):
+    if not excluded and (_met_while_exploring(t) or (t.is_last_stage and suffices(t.episodes.successes[-100:]))):
         return "exploring"
     evaluated = t.evaluations[-1]["successes"] if t.evaluations and t.program.defines_success else ()
     last = evaluated if t.is_last_stage else [each.is_success for each in t.final_episodes]
     return "evaluated" if t.solved or suffices(last) else None
+
+
+def _met_while_exploring(t: TrainingEvidence) -> bool:
+    """Whether episodes of the training, which explore, met `solved`."""
+    solved, result = t.run.program.agent.solved, t.run.record.result
+    if result is None or result.solved_at is None:
+        return False
+    if result.confirmed_at is None or solved is None:  # versions before 0.2 did not confirm
+        return True
+    recent = t.episodes[-solved.episodes :] if t.is_last_stage else t.episodes[:0]
+    return len(recent) > 0 and meets_solved(solved, float(recent.returns.mean()), float(recent.successes.mean()))
 
 
 # Faults
@@ -222,7 +265,7 @@ def action_without_effect(t: TrainingEvidence) -> Numbers | None:
     dead, steps = [], 0
     for part, traces in t.constant_actions.items():
         pairs = list(combinations(traces.values(), 2))
-        if pairs and max(_difference(one, other, own) for one, other in pairs) < _SAME_TOLERANCE:
+        if pairs and max(_difference(one, other, own) for one, other in pairs) < SAME_TOLERANCE:
             dead.append(part)
             steps = min(trace.steps for trace in traces.values())
     if not dead or not steps:
@@ -258,112 +301,31 @@ def ending_at_once(t: TrainingEvidence) -> Numbers | None:
 
 
 def lint_warns(t: TrainingEvidence) -> Numbers | None:
-    """Lint reports {count} for the scenario: {findings}.
+    """{meaning}: {finding} ({code}).{others}
 
-    Try: Run `deepbots lint {path}`: it shows the lines and what to write instead.
+    Try: {help}: `deepbots lint {path}` shows the lines.{copy}
     """
-    path, findings = lint_findings(t.run)
-    found = sorted(findings, key=lambda finding: finding.code not in _UNLEARNABLE)
+    linted = linted_scenario(t.run)
+    found = sorted(linted.findings, key=lambda finding: finding.code not in _UNLEARNABLE)
     if not found:
         return None
-    shown = "; ".join([f"{finding.headline} ({finding.code})" for finding in found[:2]] + [f"{len(found) - 2} more"] * (len(found) > 2))
-    return {"likelihood": 0.91 if found[0].code in _UNLEARNABLE else 0.3, "count": f"{len(found)} warning{'s' * (len(found) > 1)}",
-            "findings": shown, "codes": [finding.code for finding in found], "path": path}  # fmt: skip
-
-
-# Observations
-
-
-def sensor_without_reading(t: TrainingEvidence) -> Numbers | None:
-    """{count} of {of} numbers of the observation never changed in {moments} moments ({values}): {guess}.
-
-    Try: Check the position and direction of these sensors, and that something is in their range: `deepbots view RUN` draws the rays of
-    sensors. Or remove the values from `observation`.
-    """
-    spans = _spans(t)
-    still = [name for name, (span, _) in spans.items() if span < _SAME_TOLERANCE]
-    if not still:
-        return None
-    at_end = [name for name in still if abs(spans[name][1]) > 1 - _SAME_TOLERANCE]
-    guess = "these sensors detect nothing, or nothing changes these values"
-    if len(at_end) == len(still):
-        guess = "they are always at an end of their range, like a sensor that detects nothing"
-    share = len(still) / len(spans)
-    values = list_text([f"{name} always {_unscaled(t, name, spans[name][1])}" for name in still])
-    return {"likelihood": 0.95 if share >= 0.75 else 0.35 * share, "count": len(still), "of": len(spans), "moments": t.probe_moments,
-            "names": still, "values": values, "guess": guess}  # fmt: skip
-
-
-def _spans(t: TrainingEvidence) -> dict[str, tuple[float, float]]:
-    """Of each number of the observation but the previous action: how far it moves in the short episodes, and its first value."""
-    if t.probe_moments < 2 * MIN_EPISODES:
-        return {}
-    seen = np.concatenate([trace.observations for trace in t.probes])
-    spans = zip(np.ptp(seen, axis=0), seen[0], strict=True)
+    first, rest = found[0], found[1:]
+    further = list_text([f"{finding.headline} ({finding.code})" for finding in rest], 2) if rest else ""
+    meaning = _UNLEARNABLE.get(first.code) or f"Lint warns about {RULES[first.code].summary}"
+    changed = linted.changed_source
+    copy = f" It is the copy that the training read: {changed} was changed since then." if changed else ""
     return {
-        n.full_name: (float(span), float(first)) for n, (span, first) in zip(t.program.agent.numbers, spans, strict=True)
-        if n.name != "previous_action"
-    }  # fmt: skip
-
-
-def _unscaled(t: TrainingEvidence, name: str, value: float) -> str:
-    """A number of the observation, from -1 to 1, as the value that it stands for."""
-    number = next(each for each in t.program.agent.numbers if each.full_name == name)
-    if number.is_truth:
-        return "true" if value else "false"
-    return quantity_text(number.low + (value + 1) / 2 * (number.high - number.low), number.unit)
-
-
-def constant_observation(t: TrainingEvidence) -> Numbers | None:
-    """{count} of {of} numbers of the observation hardly change ({names}): in {moments} moments, after mapping to [-1, 1], they vary by at
-    most {span}.
-
-    Try: Narrow their ranges under `observation` to the values that occur: `deepbots inspect RUN` lists the ranges.
-    """
-    spans = _spans(t)
-    names = [name for name, (span, _) in spans.items() if _SAME_TOLERANCE <= span < 0.01]
-    if not names:
-        return None
-    share = len(names) / len(spans)
-    return {"likelihood": 0.95 if share >= 0.75 else 0.35 * share, "count": len(names), "of": len(spans), "moments": t.probe_moments,
-            "names": list_text(names), "span": max(spans[name][0] for name in names)}  # fmt: skip
-
-
-def saturated_observation(t: TrainingEvidence) -> Numbers | None:
-    """{count} of {of} numbers of the observation are outside their range in {share} of the moments ({names}). The clipped values differ by
-    up to {lost} times the range.
-
-    Try: Widen their ranges under `observation`: the policy cannot distinguish values outside a range.
-    """
-    if t.probe_moments < 2 * MIN_EPISODES:
-        return None
-    found = {entry.name: _beyond(t, entry) for entry in t.program.agent.observation if entry.clip and entry.name != "previous_action"}
-    cut = {n.full_name: part for e in t.program.agent.observation for n, part in zip(e.numbers, found.get(e.name, ()), strict=False)}
-    shares = {name: float((part != 0).mean()) for name, part in cut.items()}
-    # Clipping holds a value such as the reading of a sensor that sees nothing at an end, and loses nothing if it is always the same one.
-    spreads = {name: max(_spread(part[part > 0]), _spread(part[part < 0])) for name, part in cut.items()}
-    worst = sorted((name for name, share in shares.items() if share >= 0.4 and spreads[name] >= 0.1), key=lambda name: -shares[name])
-    if not worst:
-        return None
-    part, mean = len(worst) / len(shares), float(np.mean([shares[name] for name in worst]))
-    # Numbers that are almost always beyond an end come before the length of the training.
-    return {"likelihood": 0.95 if part >= 0.75 else 0.85 if mean >= 0.8 else 0.55 * part, "count": len(worst), "of": len(shares),
-            "names": list_text(worst), "share": Percentage(mean), "lost": max(spreads[name] for name in worst),
-            "shares": shares}  # fmt: skip
-
-
-def _beyond(t: TrainingEvidence, entry: Observation) -> list[Array]:
-    """By how much each number of an entry lies above its range, or below it (negative), in all moments, as a share of the range."""
-    key = t.probes[0].instrumented.observed_signals.get(entry.name)
-    if key is None or entry.value.typed.type.boolean:
-        return []
-    rows = np.array([values[key] for trace in t.probes for values in trace.values], float)
-    return [(row - row.clip(low, high)) / (high - low) for row, low, high in zip(rows.T, entry.low, entry.high, strict=True)]
-
-
-def _spread(values: Array) -> float:
-    """The distance that holds 80 % of the values, from the lowest tenth to the highest."""
-    return float(np.subtract(*np.quantile(values, (0.9, 0.1)))) if len(values) else 0.0
+        "likelihood": 0.91 if first.code in _UNLEARNABLE else 0.3,
+        "meaning": meaning,
+        "finding": first.headline,
+        "code": first.code,
+        "count": len(found),
+        "others": f" Lint also reports: {further}." if rest else "",
+        "help": _sentence(first.help or "Change what the finding names"),
+        "codes": [finding.code for finding in found],
+        "path": linted.arguments,
+        "copy": copy,
+    }
 
 
 # Learning
@@ -442,9 +404,14 @@ def horizon_too_short(t: TrainingEvidence) -> Numbers | None:
     length = float(np.median(won)) if seen else float(t.program.truncation.max_episode_steps(t.program.period))
     if length * (1.0 - gamma) < _HIDDEN:
         return None
+    is_far = length * (1.0 - gamma) > 5 * _HIDDEN
+    if not (seen or is_far) and (t.facts.terms_towards_success or not t.program.defines_success):
+        return None  # rewards on the way do
     wanted = min(0.999, round(1.0 - 3.0 / length, 3))  # a weight of 5 %
+    if wanted <= gamma:
+        return None
     # A factor that is far too small; else rewards on the way may do.
-    return {"likelihood": 0.915 if length * (1.0 - gamma) > 5 * _HIDDEN else 0.45, "gamma": gamma, "length": round(length),
+    return {"likelihood": 0.915 if is_far else 0.45, "gamma": gamma, "length": round(length),
             "of": "the median of the successes" if seen else "the limit of an episode", "weight": Percentage(gamma**length),
             "wanted": wanted, "settings": {"train.gamma": f"{wanted:g}"}}  # fmt: skip
 
@@ -464,7 +431,7 @@ def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
     shorten = "shorten the time for which the success condition must be true"
     less = _exploration_changes(t, 0.1)
     remedy = " and ".join([*by_evaluation, *map(str, less)]) or shorten
-    return {"likelihood": 0.94, "without": found[0], "with": found[1], "where": f" in stage '{t.stage}'" if t.stage else "",
+    return {"likelihood": 0.923, "without": found[0], "with": found[1], "where": f" in stage '{t.stage}'" if t.stage else "",
             "remedy": _sentence(remedy), "settings": _settings(less)}  # fmt: skip
 
 
@@ -472,13 +439,22 @@ def success_needs_exploration(t: TrainingEvidence) -> Numbers | None:
     """With exploration, the policy succeeds in {with} at the end of the training. Without it, it succeeds in {without} in its last
     evaluations{where}: it seems to stand still or to repeat itself in some states, and only the noise on its actions leads out of them.
 
-    Try: {advice} The noise becomes smaller, and the policy learns to do without it. If it still needs the noise then, let no action be
-    standing still, or show the policy its previous action (`previous_action: auto` under `observation`).
+    Try: {advice} The noise becomes smaller, and the policy learns to do without it. {otherwise}
     """
     found = needs_exploration(t)
     if found is None:
         return None
-    return {**_length(t), "likelihood": 0.94, "with": found[0], "without": found[1], "where": f" in stage '{t.stage}'" if t.stage else ""}
+    otherwise = "If it still needs the noise then, let no action be standing still"
+    if not t.facts.shows_previous_action:
+        otherwise += ", or show the policy its previous action (`previous_action: auto` under `observation`)"
+    return {
+        **training_length(t),
+        "otherwise": f"{otherwise}.",
+        "likelihood": 0.923,
+        "with": found[0],
+        "without": found[1],
+        "where": f" in stage '{t.stage}'" if t.stage else "",
+    }
 
 
 def exploration_delays_stage(t: TrainingEvidence) -> Numbers | None:
@@ -535,15 +511,17 @@ def _exploration_changes(t: TrainingEvidence, factor: float) -> list[Change]:
         found.append(Change("train.target_entropy", f"{settings.get('target_entropy')}", f"{-size * (0.5 if factor > 1 else 2):g}"))
     if noise is not None and (noise.end or factor > 1):
         now = f"{noise.start:g}" if noise.start == noise.end else f"{noise.start:g} -> {noise.end:g}"
-        wanted = "0.3" if factor > 1 else f"{noise.start:g} -> {0.1 * noise.end:.2g}"
+        wanted = f"{max(0.3, 2 * noise.start):.2g}" if factor > 1 else f"{noise.start:g} -> {0.1 * noise.end:.2g}"
         training = t.program.agent.training
         is_given = training is not None and training.action_noise is not None
-        path, value = ("train.action_noise.sigma", wanted) if is_given else ("train.action_noise", f"{{type: normal, sigma: {wanted}}}")
+        path, value = ("train.action_noise.sigma", wanted)
+        if not is_given:
+            path, value = ("train.action_noise", f"{{type: normal, sigma: {wanted}}}")
         found.append(Change(path, now, value, verb))
     if chance is not None and (chance or factor > 1):
-        wanted_chance = min(0.3, 3 * chance or 0.1) if factor > 1 else 0.1 * chance
+        wanted_chance = max(chance, min(0.3, 3 * chance or 0.1)) if factor > 1 else 0.1 * chance
         found.append(Change("train.exploration_final_eps", f"{chance:g}", f"{wanted_chance:.2g}", verb))
-    return found
+    return [change for change in found if change.after != change.before]
 
 
 def exploration_too_large(t: TrainingEvidence) -> Numbers | None:
@@ -596,111 +574,53 @@ def exploration_collapsed(t: TrainingEvidence) -> Numbers | None:
     return None
 
 
-def one_ending(t: TrainingEvidence) -> Numbers | None:
-    """'{ending}' ends {share} of the last {episodes} episodes, after {length} steps on average.
-
-    Try: Run `deepbots diagnose RUN --episode failed`: it shows the value and the threshold of this ending in one of these episodes.
-    """
-    late = t.episodes_between(0.75, 1.0)
-    if len(late) < MIN_EPISODES:
-        return None
-    name, count = Counter(late.endings).most_common(1)[0]
-    share = count / len(late)
-    if name not in t.program.failures or share < 0.9 or len(t.program.endings) < 2 or returns_rise(t) is not None:
-        return None
-    return {"likelihood": 0.25, "ending": name, "share": Percentage(share), "episodes": len(late), "length": float(late.lengths.mean())}
-
-
-def script_succeeds(t: TrainingEvidence) -> Numbers | None:
-    """A script is better than the policy: '{script}' succeeds in {by_script}, and the policy in {by_policy}.
-
-    Try: Let the script teach the policy, with `teacher: {script}` under `train`.
-    """
-    episodes = [each.is_success for each in t.final_episodes] if t.is_last_stage else []
-    policy = SuccessRate(episodes or t.episodes_between(0.75, 1.0).successes)
-    rates = {name: SuccessRate([trace.outcome == "success" for trace in traces]) for name, traces in t.scripts.items() if traces}
-    if not rates or policy.episodes < MIN_EPISODES or _has_teacher(t):
-        return None
-    name = max(rates, key=lambda each: rates[each].rate)
-    # A script of less than 70 % hardly teaches what the policy cannot find itself.
-    if rates[name].episodes < MIN_EPISODES or rates[name].rate < 0.7 or rates[name].low <= policy.high:
-        return None
-    return {"likelihood": 0.89, "script": name, "by_script": rates[name], "by_policy": policy, "settings": {"train.teacher": name}}
-
-
-def _has_teacher(t: TrainingEvidence) -> bool:
-    training = t.program.agent.training
-    return t.run.demonstrations.exists() or (training is not None and training.teacher is not None)
-
-
-def teacher_sees_more(t: TrainingEvidence) -> Numbers | None:
-    """The teacher sees more than the policy: '{script}' reads {names}, which the policy does not observe, so it acts differently in states
-    that look the same to the policy. It succeeds in {by_script}, and the policy in {by_policy}.
-
-    Try: Add what the teacher reads to `observation`. If a robot could not measure it, show the policy more of the past: `history: 4` for
-    the sensors that change with it.
-    """
-    training = t.program.agent.training
-    if training is None or training.teacher is None or not (played := t.scripts.get(training.teacher.script)):
-        return None
-    script = SuccessRate([trace.outcome == "success" for trace in played])
-    policy = SuccessRate([each.is_success for each in t.final_episodes] or t.late_evaluations)
-    hidden = unobserved_reads(t.program, training.teacher.script)
-    if not hidden or policy.episodes < MIN_EPISODES or policy.rate >= 0.9 * script.rate:
-        return None
-    return {"likelihood": 0.88, "script": training.teacher.script, "names": " and ".join(f"`{text}`" for text in hidden[:3]),
-            "by_script": script, "by_policy": policy, "hidden": hidden}  # fmt: skip
-
-
-def stopped_early(t: TrainingEvidence) -> Numbers | None:
-    """The training stopped after {steps} of {planned} steps, when its episodes and an evaluation had met `solved`. The evaluation after it,
-    of more episodes, does not meet it: {result}.
-
-    Try: {advice}
-    """
-    result = t.run.record.result
-    if result is None or result.solved_at is None or t.is_running or t.verdict.solved is not False or t.verdict.evaluation is None:
-        return None
-    if t.steps > 0.95 * t.run.record.total_timesteps or needs_exploration(t) is not None:
-        return None
-    length = _length(t, t.run.record.total_timesteps)
-    return {**length, "likelihood": 0.9, "planned": t.run.record.total_timesteps, "result": t.verdict.evaluation.text}
-
-
-def too_few_steps(t: TrainingEvidence) -> Numbers | None:
-    """{finding}. The training has made {steps} steps in {episodes} episodes; the scenario sets {planned} steps.
-
-    Try: {advice}
-    """
-    length, rise, what = _length(t), returns_rise(t), f"stage '{t.stage}'" if t.stage else "the training"
-    if rise is not None and plateau(t) is None:
-        first, last, gain, chance = rise
-        finding = (
-            f"The policy still learns: the mean return of the last quarter of {what} is {last:.3g}, {gain:.3g} above that of the first half"
-        )
-        return {**length, "likelihood": 0.8 if length["share"] < 0.5 else 0.65, "finding": finding, "first": first, "last": last,
-                "gain": gain, "chance": chance}  # fmt: skip
-    if length["share"] >= 0.5 or t.is_running or rise is not None:
-        return None
-    return {**length, "likelihood": 0.5, "finding": "The training is short"}
-
-
-def _length(t: TrainingEvidence, planned: int = 0) -> dict[str, Any]:
-    """How long a training is, and how to train on: to the `planned` steps if they are more than 1.1 times as many, else further."""
-    more = planned if planned > 1.1 * t.steps else max(t.planned, longer_goal(t.steps))
-    advice = f"Continue the training: deepbots train --resume {quote(str(t.run.path))} --timesteps {more:_}"
-    if t.is_running:
-        advice = f"Let it run: {t.steps:,} of {t.run.record.total_timesteps:,} steps have been made."
-    return {"steps": t.steps, "episodes": len(t.all_episodes), "planned": t.planned, "share": Percentage(t.steps / t.planned), "more": more,
-            "advice": advice, "settings": {} if t.is_running else {TOTAL_TIMESTEPS: f"{more:_}"}}  # fmt: skip
-
-
 CAUSES: tuple[StatementRule[TrainingEvidence], ...] = (
-    ending_at_reset, not_finite, fell_apart, action_without_effect, ending_at_once, lint_warns, sensor_without_reading,
-    constant_observation, saturated_observation, term_dominates, ending_early_pays, standing_still_pays, loitering, stage_too_hard,
-    easy_stage_counted, some_starts_fail, reward_apart_from_success, stuck_in_stage, script_succeeds, teacher_sees_more,
-    success_never_seen, silent_terms, learning_rate_too_high, learning_rate_too_low, rewards_too_large, horizon_too_short,
-    exploration_hides_success, success_needs_exploration, exploration_delays_stage, exploration_too_large, exploration_collapsed,
-    success_plateau, one_ending, stopped_early, too_few_steps,
-)  # fmt: skip
-"""Why a training does not learn."""
+    # Nothing to learn
+    ending_at_reset,
+    not_finite,
+    fell_apart,
+    action_without_effect,
+    ending_at_once,
+    # What pays is not the task
+    reward_exploited,
+    ending_early_pays,
+    return_at_ceiling,
+    lint_warns,
+    # The observation
+    sensor_without_reading,
+    constant_observation,
+    saturated_observation,
+    # The reward
+    term_dominates,
+    standing_still_pays,
+    loitering,
+    stage_too_hard,
+    easy_stage_counted,
+    some_starts_fail,
+    reward_apart_from_success,
+    # Starts, stages and teachers
+    stuck_in_stage,
+    script_succeeds,
+    teacher_fails,
+    teacher_sees_more,
+    success_never_seen,
+    silent_terms,
+    # The learner
+    learning_rate_too_high,
+    learning_rate_too_low,
+    rewards_too_large,
+    horizon_too_short,
+    exploration_hides_success,
+    success_needs_exploration,
+    exploration_delays_stage,
+    exploration_too_large,
+    exploration_collapsed,
+    # The end
+    kept_by_return,
+    missed_condition,
+    success_plateau,
+    one_ending,
+    stopped_early,
+    too_few_steps,
+)
+"""Why a training does not learn. Among causes that are as likely, the first one of this list comes first."""

@@ -11,13 +11,13 @@ import numpy as np
 from deepbots_cli.insight.conditions import (
     SIGN_OF_OPERATOR,
     Comparison,
-    Condition,
-    MeasuredComparison,
     comparisons_in,
     holds,
     measure,
     missing_comparisons,
 )
+from deepbots_cli.insight.missed import inner_comparisons, missed_success, nearest_moment
+from deepbots_cli.insight.scenario_facts import written_unit
 from deepbots_cli.insight.statements import MAX_LISTED, Numbers, Statement, StatementRule, list_text, quantity_text, statements_about
 from deepbots_cli.insight.trace import Trace
 
@@ -45,6 +45,11 @@ def explanation_json(trace: Trace, statements: Sequence[Statement]) -> dict[str,
         "statements": [statement.as_json() for statement in statements],
         "notes": list(trace.notes),
     }
+
+
+def _shown(leaf: Comparison, value: float, digits: int = 4) -> str:
+    """A value of a comparison in the unit in which the scenario writes its threshold."""
+    return quantity_text(value, leaf.unit, digits, written=written_unit(leaf.unit, *reversed(leaf.sides)))
 
 
 def _seconds(time: float) -> str:
@@ -79,11 +84,11 @@ def margin(trace: Trace) -> Numbers | None:
     end = trace.end
     if end is None or end.margin is None or end.bound is None:
         return None
-    unit, (value, bound) = end.condition.unit, end.condition.sides
+    value, bound = end.condition.sides
     named = f" ({bound})" if not bound[:1].isdigit() else ""
     where = "over" if end.value > end.bound else "under" if end.value < end.bound else "away from"
-    return {**end.as_json(), "side": value, "shown": quantity_text(end.value, unit), "limit": quantity_text(end.bound, unit) + named,
-            "by": quantity_text(abs(end.margin), unit, 3), "where": where}  # fmt: skip
+    return {**end.as_json(), "side": value, "shown": _shown(end.condition, end.value), "limit": _shown(end.condition, end.bound) + named,
+            "by": _shown(end.condition, abs(end.margin), 3), "where": where}  # fmt: skip
 
 
 def truth_ending(trace: Trace) -> Numbers | None:
@@ -117,12 +122,12 @@ def approach(trace: Trace) -> Numbers | None:
     if start >= len(margins) - 2:
         return None
     return {"step": start, "steps": len(margins) - 1 - start, "at": trace.time_at(start), "seconds": _seconds(trace.time_at(start)),
-            "from": quantity_text(past[start].value, leaf.unit), "side": leaf.sides[0]}  # fmt: skip
+            "from": _shown(leaf, past[start].value), "side": leaf.sides[0]}  # fmt: skip
 
 
 def nearest(trace: Trace) -> Numbers | None:
     """'{ending}' requires {needed}; {best}, at {seconds} (step {step})."""
-    name, condition = _missed(trace)
+    name, condition = missed_success(trace)
     if condition is None or not any(leaf.bound is not None for leaf in comparisons_in(condition)):
         return None
     missing = [missing_comparisons(condition, values) for values in trace.values]
@@ -133,8 +138,8 @@ def nearest(trace: Trace) -> Numbers | None:
     leaf = next(leaves for leaves in reversed(missing) if len(leaves) == fewest)[0]
     never = not any(measure(leaf, values).holds for values in trace.values)
     beside = [step for step, leaves in enumerate(missing) if len(leaves) == fewest and leaf in leaves]
-    step, found = _nearest(trace, leaf, () if never else beside)
-    limit, value = (quantity_text(number or 0.0, leaf.unit) for number in (found.bound, found.value))
+    step, found = nearest_moment(trace, leaf, () if never else beside)
+    limit, value = (_shown(leaf, number or 0.0) for number in (found.bound, found.value))
     others = "" if never or fewest > 1 else "while the other conditions were true, "
     negated = leaf.operator == "not_equal"
     if leaf.bound is not None:
@@ -146,39 +151,21 @@ def nearest(trace: Trace) -> Numbers | None:
 
 def conditions(trace: Trace) -> Numbers | None:
     """Of the conditions in '{ending}', {parts}."""
-    name, missed = _missed(trace)
-    outer = [] if missed is None else comparisons_in(missed)
-    inner = [part for leaf in outer for part in (comparisons_in(leaf.lasting) if leaf.lasting else [leaf])]
+    name, missed = missed_success(trace)
+    outer, inner = ([], []) if missed is None else (comparisons_in(missed), inner_comparisons(missed))
     if len(inner) < 2 and not any(leaf.lasting for leaf in outer):
         return None
     found, said = [], []
     for leaf in inner:
         steps = sum(measure(leaf, values).holds for values in trace.values)
         beside = [k for k, values in enumerate(trace.values) if steps and all(measure(o, values).holds for o in inner if o is not leaf)]
-        step, best = _nearest(trace, leaf, beside)
+        step, best = nearest_moment(trace, leaf, beside)
         found.append({**best.as_json(), "step": step, "time": trace.time_at(step), "steps": steps, "beside_others": bool(beside)})
-        value, bound = quantity_text(best.value, leaf.unit), quantity_text(best.bound or 0.0, leaf.unit)
+        value, bound = _shown(leaf, best.value), _shown(leaf, best.bound or 0.0)
         during = " while the others were true" if beside and len(inner) > 1 else ""
         came = f" (nearest value{during}: {value} at {_seconds(trace.time_at(step))}, threshold {bound})" if leaf.bound else ""
         said.append(f"`{leaf.text}` was true in {steps} of {len(trace.values)} moments{came}")
     return {"ending": name, "conditions": found, "parts": "; ".join(said)}
-
-
-def _missed(trace: Trace) -> tuple[str, Condition | None]:
-    """The first success with a bound that an episode without a success missed, and its condition."""
-    if trace.outcome not in ("success", "error"):
-        for name in (*trace.program.agent.success, "goal_reached"):
-            condition = trace.instrumented.conditions.get(name)
-            if condition is not None and any(leaf.bound is not None for leaf in comparisons_in(condition)):
-                return name, condition
-    return "", None
-
-
-def _nearest(trace: Trace, leaf: Comparison, moments: Sequence[int] = ()) -> tuple[int, MeasuredComparison]:
-    """The first of the moments in which a comparison came nearest to its bound, or beyond it by most."""
-    past = {step: measure(leaf, trace.values[step]) for step in moments or range(len(trace.values))}
-    step = max(past, key=lambda step: float(past[step].holds if (margin := past[step].margin) is None else margin))
-    return step, past[step]
 
 
 def terms(trace: Trace) -> Numbers | None:

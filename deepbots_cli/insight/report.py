@@ -24,13 +24,17 @@ import numpy as np
 
 import deepbots_cli
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
+from deepbots_cli.diagnostics import Span
+from deepbots_cli.diagnostics.findings import Source as Text
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.insight import figures
+from deepbots_cli.insight.diagnosis import causes_after
+from deepbots_cli.insight.linted import LintedScenario, linted_scenario
+from deepbots_cli.insight.statements import Statement
 from deepbots_cli.insight.templates import render_template
-from deepbots_cli.insight.training import lint_findings
 from deepbots_cli.learning.draws import by_drawn_value, draw_labels
 from deepbots_cli.learning.episodes import UNBOUNDED
 from deepbots_cli.learning.group import Group
@@ -86,6 +90,12 @@ class ReportRun:
         """Whether the run is solved, with this evaluation."""
         return RunVerdict(run_verdict(self.run.path, self.run.record).solved, self.evaluation)
 
+    @property
+    def is_unsolved(self) -> bool:
+        """Whether the task has a criterion or a success, and the run does not solve it."""
+        solved = self.verdict.solved
+        return solved is False or (solved is None and self.run.program.defines_success)
+
 
 @dataclass(eq=False)
 class ReportEpisode:
@@ -131,6 +141,9 @@ class Report:
     """The parts whose trajectories are drawn."""
     outlines: Sequence[list[Triple]] = ()
     """The outlines of objects that stand still in all of them."""
+    causes: Sequence[Statement] = ()
+    """Why the run `diagnosed` does not solve its task, the most likely first."""
+    diagnosed: str = ""
 
     @staticmethod
     def read(path: Path) -> Report:
@@ -267,6 +280,18 @@ class Report:
             fast = f", {speed:.1f} times as fast" if speed > 1.05 else ""
             self.clips[shown.label] = (f"{shown.title} after {time:.1f} s{fast}", _uri("video/mp4", target.read_bytes()))
 
+    def find_causes(self, permissions: Permissions = Permissions()) -> None:
+        """Find out why the run does not solve its task, or the worst unsolved seed of a group."""
+        unsolved = [member for member in self.runs if member.is_unsolved]
+        if not unsolved:
+            return
+        worst = min(unsolved, key=lambda member: (member.evaluation.success_rate or 0.0, member.evaluation.mean_return))
+        self.diagnosed = worst.run.path.name
+        try:
+            self.causes = causes_after(worst.run.path, permissions)
+        except DeepbotsError as error:
+            self.notes.append(f"there are no causes: {error}")
+
     # Figures
 
     def figures(self, theme: str) -> Iterator[tuple[str, str, Figure | None]]:
@@ -330,17 +355,53 @@ class Report:
             if figure is not None
         ]
         run = self.runs[0].run
-        _, found = lint_findings(run)
+        linted = linted_scenario(run)
         clips = {label: self.clips[label] for label in EPISODE_LABELS if label in self.clips}
         notes = [*self.notes, *self.declines, *(note for member in self.runs for note in member.run.notes())]
         return render_template(
-            "report.html.j2", html=True, report=self, program=run.program, record=run.record, figures=drawn, findings=found, clips=clips,
-            lines=(run.path / RESOLVED_NAME).read_text("utf-8").splitlines(),
-            marked={finding.span.start_position.line for finding in found if finding.span.source.name.endswith(RESOLVED_NAME)},
+            "report.html.j2", html=True, report=self, program=run.program, record=run.record, figures=drawn, clips=clips,
+            findings=[(_place(run, finding.span), finding) for finding in linted.findings], listings=_listings(run, linted),
             rows=[(member.run.path.name, member.run.record, member.verdict.text) for member in self.runs],
             command=join(run.record.command) or "(from Python)", version=deepbots_cli.__version__, python=platform.python_version(),
             matplotlib=version("matplotlib"), notes=dict.fromkeys(notes),
         )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Listing:
+    """A file of the scenario, with the lines (from 1) that findings name."""
+
+    name: str
+    lines: Sequence[str]
+    marked: frozenset[int]
+
+
+def _listings(run: Run, linted: LintedScenario) -> list[Listing]:
+    """The files that the findings name, the scenario first; `resolved.yaml` too where the scenario is more than its file."""
+    spans = [finding.span for finding in linted.findings]
+    texts = dict.fromkeys([*([linted.text] if linted.text else []), *(span.source for span in spans)])
+    found = [
+        Listing(
+            _name(run, text),
+            text.text.splitlines(),
+            frozenset(span.start_position.line for span in spans if span.source is text),
+        )
+        for text in texts
+    ]
+    resolved = (run.path / RESOLVED_NAME).read_text("utf-8")
+    if not linted.is_whole and all(text.text != resolved for text in texts):
+        found.append(Listing(RESOLVED_NAME, resolved.splitlines(), frozenset()))
+    return found
+
+
+def _place(run: Run, span: Span) -> str:
+    return f"{_name(run, span.source)}:{span.start_position.line}"
+
+
+def _name(run: Run, text: Text) -> str:
+    """The name of a file; that of a copy begins in the folder of the run."""
+    path = Path(text.name)
+    return str(path.relative_to(run.path)) if path.is_relative_to(run.path) else text.name
 
 
 def _attempt(group: Group, number: int) -> tuple[str, str, str, str]:

@@ -25,9 +25,10 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import write_copies
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.insight.diagnosis import CERTAIN, TOTAL_TIMESTEPS, causes_after
+from deepbots_cli.insight.diagnosis import CERTAIN, causes_after
+from deepbots_cli.insight.ends import TOTAL_TIMESTEPS
+from deepbots_cli.insight.linted import named_source
 from deepbots_cli.insight.statements import Statement
-from deepbots_cli.insight.training import named_source
 from deepbots_cli.learning.group import MAX_RETRIES, Group, RetryAttempt, new_record
 from deepbots_cli.learning.report import Reporter, to_json
 from deepbots_cli.learning.run import (

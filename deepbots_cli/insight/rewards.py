@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from statistics import fmean
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from deepbots_cli.analysis import possible_returns
 from deepbots_cli.insight.conditions import comparisons_in, measure
 from deepbots_cli.insight.stages import hides_success, plateau
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text
@@ -14,6 +17,8 @@ from deepbots_cli.insight.trace import Trace
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
 
 _LIMITS = ("max_steps", "max_time")
+_CLEARLY_MORE = 0.05
+"""A mean return that is more than another one by less than this share is the same."""
 
 
 def _per_step(traces: Sequence[Trace]) -> float:
@@ -48,24 +53,160 @@ def term_dominates(t: TrainingEvidence) -> Numbers | None:
     }
 
 
-def ending_early_pays(t: TrainingEvidence) -> Numbers | None:
-    """Failing early pays: a step earns {reward} on average, {failed} of the late episodes fail, and longer episodes have lower returns
-    (correlation {correlation}).{going_on}
+def reward_exploited(t: TrainingEvidence) -> Numbers | None:
+    """The reward pays for something other than the success: the mean return of {what} is {gained}, more than the {by_script} of the
+    script '{script}', but the policy succeeds in {policy}, and the script in {script_rate}.{paying}
 
-    Try: Make good steps earn a positive reward (check the signs of the terms), or make a failure cost more than the steps that it saves.
+    Try: {remedy}
+    """
+    baseline = _script_baseline(t)
+    if baseline is None:
+        return None
+    script, returns, successes, script_terms = baseline
+    aimed, expected = SuccessRate(successes), fmean(returns)
+    for outcome in _policy_outcomes(t):
+        policy, gained = SuccessRate(outcome.successes), fmean(outcome.returns)
+        error = 2 * float(np.hypot(_error_of_mean(outcome.returns), _error_of_mean(returns)))
+        if policy.high < aimed.low and gained - expected > max(error, _CLEARLY_MORE * abs(expected)):
+            break
+    else:
+        return None
+    terms = _term_means(t)
+    extra = {name: value - script_terms[name] for name, value in terms.items()}
+    term = max(extra, key=lambda each: extra[each], default="")
+    paying, named = "", "the term that pays for it"
+    if term and extra[term] > 0:
+        named = f"'{term}'"
+        paying = f" {named} pays most of the difference: {terms[term]:.3g} per episode, and {script_terms[term]:.3g}"
+        paying += " in an episode of the script."
+    once = f"Let {named} pay once, or only for a change (`delta(...)`), or end the episode where it pays"
+    if term and t.facts.is_progress(term):
+        once = f"Scale {named} down"
+    return {
+        "likelihood": 0.929,  # behind the causes that name what the policy does instead
+        "what": outcome.name,
+        "gained": gained,
+        "by_script": expected,
+        "script": script,
+        "policy": policy,
+        "script_rate": aimed,
+        "term": term,
+        "terms": terms,
+        "script_terms": script_terms,
+        "paying": paying,
+        "remedy": f"{once}. A success must earn more than an episode without success can collect.",
+    }
+
+
+def _script_baseline(t: TrainingEvidence) -> tuple[str, list[float], list[float], dict[str, float]] | None:
+    """The script that succeeds most: its name, the returns and successes of its episodes, and its mean reward terms."""
+    played = {name: traces for name, traces in t.scripts.items() if len(traces) >= MIN_EPISODES}
+    if not played or not t.program.defines_success:
+        return None
+
+    def successes(name: str) -> list[float]:
+        return [float(trace.outcome == "success") for trace in played[name]]
+
+    best = max(played, key=lambda name: sum(successes(name)))
+    names = [term.name for term in t.program.agent.reward]
+    terms = {name: fmean(float(np.nansum(trace.terms[name])) for trace in played[best]) for name in names}
+    return best, [trace.returns for trace in played[best]], successes(best), terms
+
+
+class _Outcome(NamedTuple):
+    """Returns and successes of the policy in some episodes, and what to call these."""
+
+    name: str
+    returns: Sequence[float]
+    successes: Sequence[float]
+
+
+def _policy_outcomes(t: TrainingEvidence) -> list[_Outcome]:
+    """The policy at the end of the training: without exploration, with exploration, and the kept model."""
+    begin = t.first_step + 0.75 * t.stage_steps
+    late = [each for each in t.evaluations if "steps" in each and each["steps"] > begin]
+    returns = [float(value) for each in late for value in each["returns"]]
+    successes = [float(value) for each in late for value in each["successes"]]
+    episodes = t.episodes_between(0.75, 1.0)[-100:]
+    kept = t.final_episodes if t.is_last_stage else ()
+    found = [
+        _Outcome("its last evaluations", returns, successes),
+        _Outcome("the last episodes of the training", episodes.returns, episodes.successes),
+        _Outcome(
+            "the evaluation of the kept model",
+            [each.total_return for each in kept],
+            [float(each.is_success) for each in kept],
+        ),
+    ]
+    return [outcome for outcome in found if len(outcome.returns) >= MIN_EPISODES]
+
+
+def _error_of_mean(values: Sequence[float]) -> float:
+    return float(np.std(values) / np.sqrt(len(values)))
+
+
+def _term_means(t: TrainingEvidence, share: float = 0.75) -> dict[str, float]:
+    """The mean of each reward term per episode, after a share of the present stage; without those that were not logged."""
+    curves = {term.name: t.curve(f"reward/{term.name}") for term in t.program.agent.reward}
+    return {name: float(curve[int(share * len(curve)) :].mean()) for name, curve in curves.items() if len(curve)}
+
+
+def ending_early_pays(t: TrainingEvidence) -> Numbers | None:
+    """Failing early pays: a step earns {reward} on average, {failed} of the late episodes fail{correlated}.{sooner}{saving}{going_on}
+
+    Try: Make good steps earn a positive reward (check the signs of the terms), or {price}.
     """
     late = t.episodes_between(0.75, 1.0)
-    if len(late) < MIN_EPISODES:
+    if len(late) < MIN_EPISODES or np.ptp(t.episodes.lengths) == 0:
         return None
     failed = float(np.mean([ending in t.program.failures for ending in late.endings]))
     per_step = float(late.returns.sum() / max(1.0, late.lengths.sum()))
-    if failed < 0.5 or per_step >= 0 or late.successes.mean() > 0.2 or np.ptp(t.episodes.lengths) == 0 or _per_step(t.policy) > 0:
+    if failed < 0.5 or late.successes.mean() > 0.2:
         return None
+    sooner = _fails_sooner(t)
     together = float(np.corrcoef(t.episodes.lengths, t.episodes.returns)[0, 1]) if np.ptp(t.episodes.returns) else 0.0
-    if not together < -0.5:
+    costs = per_step < 0 and _per_step(t.policy) <= 0 and together < -0.5
+    if not costs and sooner is None:
         return None
-    return {"likelihood": 0.93, "reward": per_step, "failed": Percentage(failed), "length": float(late.lengths.mean()),
-            "first": float(t.episodes_between(0.0, 0.25).lengths.mean()), "correlation": together, **_going_on(t)}  # fmt: skip
+    prices = [(name, t.facts.price_of(name)) for name in t.program.failures]
+    known = list_text([f"'{name}' costs {-cost:.3g} now" for name, cost in prices if cost is not None and cost < 0] or [""])
+    price = f"make a failure cost more than the steps that it saves{f' ({known})' if known else ''}"
+    correlated = f", and longer episodes have lower returns (correlation {together:.3g})" if costs else ""
+    return {"likelihood": 0.93 if sooner is None else 0.956, "reward": per_step, "failed": Percentage(failed),
+            "length": float(late.lengths.mean()), "first": float(t.episodes_between(0.0, 0.25).lengths.mean()),
+            "correlation": together, "correlated": correlated, "price": price, "sooner": "", "saving": "",
+            **(sooner or {}), **_going_on(t)}  # fmt: skip
+
+
+def _fails_sooner(t: TrainingEvidence) -> dict[str, Any] | None:
+    """That late episodes all end by one failure, in fewer steps than the first ones, and that this saves costs."""
+    first, late = t.episodes[: max(MIN_EPISODES, min(100, len(t.episodes) // 10))], t.episodes_between(0.75, 1.0)[-100:]
+    if len(t.episodes) < 10 * MIN_EPISODES:
+        return None
+    name, count = Counter(late.endings).most_common(1)[0]
+    before, now = float(first.lengths.mean()), float(late.lengths.mean())
+    error = 2 * float(np.hypot(_error_of_mean(first.lengths), _error_of_mean(late.lengths)))
+    gain = float(late.returns.mean() - first.returns.mean())
+    if name not in t.program.failures or count < 0.95 * len(late) or not now < min(before - error, 0.85 * before) or gain <= 0:
+        return None
+    curves = {term.name: t.curve(f"reward/{term.name}") for term in t.program.agent.reward}
+    ends = {
+        each: (float(curve[: max(1, len(curve) // 20)].mean()), float(curve[-max(1, len(curve) // 4) :].mean()))
+        for each, curve in curves.items()
+        if len(curve)
+    }
+    saved = {each: after - start for each, (start, after) in ends.items() if start < after <= 0}
+    if sum(saved.values()) < 0.5 * gain:  # what it does in these steps pays, such as coming nearer
+        return None
+    largest = sorted(saved, key=lambda each: -saved[each])
+    costs = list_text([f"'{each}' went from {ends[each][0]:.3g} to {ends[each][1]:.3g} per episode" for each in largest])
+    return {
+        "sooner": f" '{name}' ends {Percentage(count / len(late)):.0%} of them after {now:.0f} steps on average; the first episodes"
+        f" of the training lasted {before:.0f}.",
+        "saving": f" The shorter episodes save costs: {costs}.",
+        "ending": name,
+        "terms": {each: {"early": start, "late": after} for each, (start, after) in ends.items()},
+    }
 
 
 def _going_on(t: TrainingEvidence) -> Numbers:
@@ -87,7 +228,7 @@ def _going_on(t: TrainingEvidence) -> Numbers:
 def standing_still_pays(t: TrainingEvidence) -> Numbers | None:
     """Standing still pays: zero actions earn {still} per step, the policy earns {policy}, and {rate} of the late episodes succeed.
 
-    Try: Reward progress towards success (such as the change of a distance), and make each step cost something instead of earning something.
+    Try: {progress}, and make each step cost something instead of earning something.
     """
     late = t.episodes_between(0.75, 1.0)
     if not t.idle or not t.program.defines_success or (len(late.successes) and late.successes.mean() >= 0.5):
@@ -96,16 +237,27 @@ def standing_still_pays(t: TrainingEvidence) -> Numbers | None:
     outcomes = [trace.outcome for trace in t.idle]  # where standing still fails soon, it pays until then only
     if still <= 0 or "success" in outcomes or 2 * outcomes.count("failure") > len(outcomes) or still < 0.8 * policy:
         return None
-    return {"likelihood": 0.93, "still": still, "policy": policy, "random": _per_step(t.random), "episodes": len(t.idle),
-            "rate": Percentage(float(late.successes.mean()) if len(late.successes) else 0.0)}  # fmt: skip
+    own = [term for term in t.facts.terms_towards_success if t.facts.is_progress(term)]
+    progress = "Reward progress towards success (such as the change of a distance)"
+    if own:
+        names = list_text([f"'{term}'" for term in own])
+        progress = f"Raise {names}, which already rewards progress, until it earns more than standing still"
+    return {
+        "likelihood": 0.93,
+        "still": still,
+        "policy": policy,
+        "random": _per_step(t.random),
+        "episodes": len(t.idle),
+        "rate": Percentage(float(late.successes.mean()) if len(late.successes) else 0.0),
+        "progress": progress,
+    }
 
 
 def loitering(t: TrainingEvidence) -> Numbers | None:
     """Staying near success pays more than success: {share} of the late episodes reach the time limit. In the second half of such episodes,
     '{term}' gives {per_step} per step, which is {whole} for {steps} steps. {compared}
 
-    Try: Make '{term}' reward coming nearer instead of being near (`delta(...)` of its value), end the episode where it pays, or scale it
-    down until an episode of it earns less than success.
+    Try: {nearer}nd the episode where it pays, or scale it down until an episode of it earns less than success.
     """
     if not t.program.defines_success or not t.is_mature or not t.policy:
         return None
@@ -129,7 +281,8 @@ def loitering(t: TrainingEvidence) -> Numbers | None:
             return None
     return {"likelihood": 0.935, "share": Percentage(float(at_limit.mean())), "term": name, "per_step": paid[name],
             "whole": paid[name] * longest, "steps": longest, "return_of_success": gained, "return_of_staying": stayed,
-            "compared": compared}  # fmt: skip
+            "compared": compared, "nearer": "E" if t.facts.is_progress(name) else
+            f"Make '{name}' reward coming nearer instead of being near (`delta(...)` of its value), e"}  # fmt: skip
 
 
 def _stays_near(trace: Trace) -> bool:
@@ -185,6 +338,69 @@ def _rising_term(t: TrainingEvidence) -> tuple[str, float, float] | None:
             ends.append((term.name, float(curve[:quarter].mean()), float(curve[-quarter:].mean())))
     found = max(ends, key=lambda each: each[2] - each[1], default=None)
     return found if found is not None and found[2] > found[1] else None
+
+
+_CEILING = 0.01
+"""Returns that differ by less than this share are the same one."""
+_FLAT_EVALUATIONS = 3
+"""Evaluations from which on their mean returns show whether the return still grows."""
+
+
+def return_at_ceiling(t: TrainingEvidence) -> Numbers | None:
+    """The return is at its ceiling: it is {mean} in all of {episodes} {what} (from {low} to {high}), it no longer grows, and no episode of
+    the training returned more than {most}.{bounded}{asked}
+
+    Try: {remedy}
+    """
+    solved, late = t.run.program.agent.solved, t.episodes_between(0.75, 1.0)
+    required = None if solved is None else solved.mean_return
+    if len(t.episodes) < 4 * MIN_EPISODES or (solved is not None and required is None) or not t.is_last_stage:
+        return None
+    what, returns = "late episodes of the training", late.returns
+    if len(t.final_episodes) >= MIN_EPISODES:
+        what, returns = "episodes of the evaluation", np.array([each.total_return for each in t.final_episodes])
+    mean, low, high = float(returns.mean()), float(returns.min()), float(returns.max())
+    if mean <= 0 or (required is not None and mean >= required) or (t.program.defines_success and late.successes.mean() < 0.8):
+        return None
+    most = max(high, float(t.episodes.returns.max()))
+    _, bound = possible_returns(t.program)
+    is_near = bound < np.inf and mean >= 0.95 * bound
+    # The same return in each episode may also be that of standing still, or that of a local optimum, which others exceed.
+    stands = bool(t.idle) and _per_step(t.idle) >= 0.9 * _per_step(t.policy or t.idle)
+    is_same = high - low <= 2 * _CEILING * mean and most <= (1 + 2 * _CEILING) * mean
+    has_grown = float(t.episodes_between(0.0, 0.1).returns.mean()) < 0.9 * mean
+    if not is_near and (stands or not is_same or not has_grown or not _is_flat(t, mean)):
+        return None
+    steps = t.program.truncation.max_episode_steps(t.program.period)
+    remedy = "Pay more for what the policy should still improve, or accept the policy: more steps cannot raise this return."
+    if solved is not None and required is not None:
+        remedy = "Ask for a return that is possible, such as"
+        remedy += f" `mean_return >= {np.floor(98 * mean) / 100:.3g} over {solved.episodes} episodes`, or raise what limits"
+        remedy += " it: the time of an episode, or the speed of the robot. More exploration or a longer training cannot."
+    return {
+        "likelihood": 0.952,
+        "mean": mean,
+        "low": low,
+        "high": high,
+        "most": most,
+        "episodes": len(returns),
+        "what": what,
+        "bound": bound if bound < np.inf else None,
+        "required": required,
+        "bounded": f" The reward allows at most {bound:.4g} in {steps:,} steps." if is_near else "",
+        "asked": "" if required is None else f" `solved` asks for {required:g}.",
+        "remedy": remedy,
+    }
+
+
+def _is_flat(t: TrainingEvidence, mean: float) -> bool:
+    """Whether the evaluations of the second half of the stage all have this mean return, or else the training's own episodes."""
+    half = t.first_step + 0.5 * t.stage_steps
+    done = [fmean(each["returns"]) for each in t.evaluations if "steps" in each and each["steps"] >= half]
+    if len(done) >= _FLAT_EVALUATIONS:
+        return max(abs(value - mean) for value in done) <= 2 * _CEILING * mean
+    third, last = (t.episodes_between(share, share + 0.25).returns.mean() for share in (0.5, 0.75))
+    return bool(abs(last - third) <= 2 * _CEILING * mean and abs(last - mean) <= 2 * _CEILING * mean)
 
 
 def silent_terms(t: TrainingEvidence) -> Numbers | None:

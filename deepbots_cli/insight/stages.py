@@ -247,8 +247,8 @@ def some_starts_fail(t: TrainingEvidence) -> Numbers | None:
     """{flat} depends on the start: with `{drawn}` {worst}, the policy succeeds in {failing}; with `{drawn}` {best}, it succeeds in
     {succeeding} ({source}; by value: {parts}).
 
-    Try: Check that these starts can succeed, with a script or by hand (`deepbots play`), and that the policy observes `{drawn}` or its
-    effect. Then train more on these starts, for example with a curriculum that draws them more often at first.
+    Try: Check that these starts can succeed, with a script or by hand (`deepbots play`){observed}. Then train more on these starts, for
+    example with a curriculum that draws them more often at first.
     """
     is_flat = plateau(t) is not None or stuck_in_stage(t) is not None
     if not is_flat and not t.final_episodes:  # they may still be learned
@@ -265,8 +265,10 @@ def some_starts_fail(t: TrainingEvidence) -> Numbers | None:
     rates = [{"low": b.low, "high": b.high, "episodes": b.episodes, "rate": b.success_rate, "interval": b.success_interval} for b in bins]
     parts = "; ".join(f"{_range(each, label)} {each.success_rate:.0%}" for each in bins)
     flat = "The success rate no longer rises, and it" if is_flat else "Success"
-    return {"likelihood": 0.92 if is_flat else 0.55, "flat": flat, "drawn": name,
-            "worst": _range(worst, label), "failing": _bin_rate(worst),
+    sees = t.facts.observes(name.removeprefix("parameters."))
+    observed = "" if sees else f", and that the policy observes `{name}` or its effect"
+    return {"likelihood": 0.92 if is_flat else 0.55, "flat": flat, "observed": observed,
+            "drawn": name, "worst": _range(worst, label), "failing": _bin_rate(worst),
             "best": _range(best, label), "succeeding": _bin_rate(best), "source": source, "parts": parts, "bins": rates}  # fmt: skip
 
 
@@ -340,10 +342,20 @@ def success_never_seen(t: TrainingEvidence) -> Numbers | None:
     paid = {name: max(0.0, float(curve[-max(1, len(curve) // 4) :].mean())) for name, curve in late.items() if len(curve)}
     name, whole = max(paid, key=lambda each: paid[each], default=""), sum(paid.values())
     share = paid[name] / whole if whole else 0.0
-    though, remedy = "", "Add a reward term for progress towards success,"
+    though, remedy, own = "", "Add a reward term for progress towards success,", t.facts.terms_towards_success
+    if own:
+        others = sum(float(curve[-max(1, len(curve) // 4) :].mean()) for each, curve in late.items() if len(curve) and each != own[0])
+        given = late[own[0]][-max(1, len(late[own[0]]) // 4) :]
+        remedy = f"Compare '{own[0]}', which leads towards success, with the other terms"
+        if len(given):
+            remedy += f" (per late episode it gives {float(given.mean()):.3g}, and they give {others:.3g})"
+        remedy += " and raise it,"
+    uses_path = any("path_distance" in term.text for term in t.program.agent.reward if term.name == name)
     if share >= 0.8 and not returns_rise(t):
         though = f", and '{name}' gives {share:.0%} of the positive reward of late episodes: the policy is in a local optimum of this term"
         remedy = f"Make '{name}' lead around obstacles, for example with path_distance instead of a straight distance,"
+        if uses_path:
+            remedy = f"Make success earn more than '{name}' can,"
     return {"likelihood": 0.93 if flat else 0.7 if t.is_mature else 0.45, "episodes": len(t.episodes), "count": count,
             "seen": f"Only {count}" if count else "None", "verb": "are" if count > 1 else "is",
             "where": f" in stage '{t.stage}'" if t.stage else "", "ending": " or ".join(names), "spread": float(t.episodes.returns.std()),

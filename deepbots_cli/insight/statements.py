@@ -11,6 +11,8 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from deepbots_cli.expressions.dimensions import Unit
+
 Numbers = Mapping[str, Any]
 T = TypeVar("T")
 T_contra = TypeVar("T_contra", contravariant=True)
@@ -93,7 +95,8 @@ def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Stat
             shown = {key: _number_text(value) for key, value in evidence.items()}
             text, _, advice = " ".join((finder.__doc__ or "").split()).partition(" Try: ")
             settings, kept = evidence.get("settings", {}), {key: value for key, value in evidence.items() if key != "settings"}
-            found.append(Statement(finder.__name__, text.format(**shown), advice.format(**shown), kept, settings))
+            sentence, remedy = (form.format(**shown).strip() for form in (text, advice))
+            found.append(Statement(finder.__name__, sentence, remedy, kept, settings))
     return found
 
 
@@ -113,9 +116,11 @@ def _number_text(value: Any) -> str:
 _DEGREES = {"rad": "deg", "rad/s": "deg/s", "rad/s^2": "deg/s^2"}
 
 
-def quantity_text(value: float, unit: str, digits: int = 4) -> str:
-    """`15.3 deg`: a number in the unit that people use, given in SI units."""
-    if unit in _DEGREES:
+def quantity_text(value: float, unit: str, digits: int = 4, *, written: Unit | None = None) -> str:
+    """`15.3 deg`: a number, given in SI units, in the unit in which the file writes it, else in the one that people use."""
+    if written is not None:
+        value, unit = value * written.divisor / written.scale, written.text
+    elif unit in _DEGREES:
         value, unit = float(np.degrees(value)), _DEGREES[unit]
     return f"{value:.{digits}g}{'' if unit in ('', '1') else f' {unit}'}"
 

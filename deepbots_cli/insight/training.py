@@ -13,20 +13,19 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from shlex import join, quote
+from shlex import quote
 from statistics import fmean
 from typing import Any
 
 import numpy as np
 
 from deepbots_cli import api, engine_kinds
-from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
-from deepbots_cli.diagnostics import Finding
-from deepbots_cli.document import Permissions, shipped
-from deepbots_cli.engine_kinds import with_engine
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.conditions import instrument_program
-from deepbots_cli.insight.trace import Array, Trace, TraceRecorder
+from deepbots_cli.insight.linted import named_source
+from deepbots_cli.insight.scenario_facts import ScenarioFacts
+from deepbots_cli.insight.trace import Array, Trace, TraceRecorder, trace_episodes
 from deepbots_cli.learning import failures
 from deepbots_cli.learning.decline import Decline, decline
 from deepbots_cli.learning.episodes import meets_solved
@@ -38,7 +37,6 @@ from deepbots_cli.program import CurriculumStage, Program
 from deepbots_cli.program.task import Schedule, idle_action
 from deepbots_cli.rollout import Driver, Episode, Start, steps
 from deepbots_cli.rollout.drivers import action_from_values, constant_driver, named_driver, random_driver
-from deepbots_cli.rollout.source import Source
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.plots import logs_of, scalars_of
@@ -48,6 +46,9 @@ PROBE_EPISODES, PROBE_STEPS, CONSTANT_ACTION_STEPS = 4, 300, 40
 
 SCRIPT_EPISODES = 8
 """Whole episodes of each script: from 8 successes of 8 follows a success rate of 68 % or more."""
+
+FAILED_EPISODES = 6
+"""Episodes without success of the quoted evaluation that are repeated."""
 
 MIN_EPISODES = 8
 """Episodes, below which the returns of a training tell nothing."""
@@ -63,7 +64,7 @@ class TrainingEvidence:
     short episodes have the same starts, in the present stage: `policy` those of the last policy, `random` those of random actions, `idle`
     those of an action that commands zeros, and `constant_actions` one for each constant action, by the part of the action that alone
     differs. `scripts` are whole episodes of the script that teaches the policy, or of each that could. `final_episodes` are those of the
-    evaluation that `verdict` quotes.
+    evaluation that `verdict` quotes, and `failed` are the first ones of them without success, repeated.
     """
 
     run: Run
@@ -79,6 +80,7 @@ class TrainingEvidence:
     idle: Sequence[Trace] = ()
     constant_actions: dict[str, Mapping[str, Trace]] = field(default_factory=dict)
     scripts: dict[str, Sequence[Trace]] = field(default_factory=dict)
+    failed: Sequence[Trace] = ()
 
     # Stages
 
@@ -106,6 +108,17 @@ class TrainingEvidence:
     def program(self) -> Program:
         """The scenario of the present stage."""
         return self.stages[self.stage_index].program if self.stages else self.run.program
+
+    @cached_property
+    def facts(self) -> ScenarioFacts:
+        """What the scenario of the present stage has."""
+        document = self.run.compiled.document
+        return ScenarioFacts(self.program, None if document is None else document.root)
+
+    @property
+    def scenario_argument(self) -> str:
+        """The scenario as an argument of a command, quoted for a shell."""
+        return quote(named_source(self.run.record.source))
 
     def episodes_of(self, stage: str) -> Any:
         return self.all_episodes[self.all_episodes.stages == stage]
@@ -248,31 +261,6 @@ def usual_settings(t: TrainingEvidence) -> Mapping[str, Any]:
     return {entry.name: entry.value for entry in effective_hyperparameters(unset, t.run.record.total_timesteps)}
 
 
-def lint_findings(run: Run) -> tuple[str, Sequence[Finding]]:
-    """The scenario of a run as arguments of `deepbots lint`, and what lint finds.
-
-    The files that the scenario was made from hold the comments that ignore findings, and show what is a part of an included robot only.
-    `resolved.yaml` takes their place if they give another scenario, as after a change in Python.
-    """
-    record, resolved = run.record, run.path / RESOLVED_NAME
-    overrides, folder = changed_settings(record.command), run.path / INPUTS_FOLDER
-    own = folder / next(iter(record.inputs), RESOLVED_NAME)
-    try:
-        source = replace(Source.kept(folder), scenario=own)
-        compiled = api.compile(source, overrides=with_engine(overrides, record.engine))
-        if compiled.digest == run.digest:
-            return join([str(own), "--allow-path", str(folder), *(f"--set={text}" for text in overrides)]), compiled.findings
-    except DeepbotsError:
-        pass
-    return quote(str(resolved)), run.compiled.findings
-
-
-def named_source(source: str) -> str:
-    """The scenario of a record as an argument of a command: the name of a shipped one, else its path."""
-    path = Path(source)
-    return path.stem if path.name == f"{path.stem}.yaml" and shipped.scenario_path(path.stem) == path else source
-
-
 def training_command(run: Run, assignments: Sequence[str]) -> list[str]:
     """The command that trains the scenario of a run anew, with its seed, options and `--set`, and further assignments."""
     record, settings = run.record, dict[str, str]()
@@ -372,7 +360,26 @@ def run_probes(
         longest = training.program.truncation.max_episode_steps(training.program.period)
         for name in scripts:
             starts = (derive_seed(run.record.seed, "diagnosis", number) for number in range(SCRIPT_EPISODES))
-            training.scripts[name] = [trace for seed in starts for trace in episode(seed, named_driver(world, name), longest)]
+            played = [trace for seed in starts for trace in episode(seed, named_driver(world, name), longest)]
+            training.scripts[name] = [trace for trace in played if trace.outcome != "not ended"]  # that the deadline cut
+    training.failed = _repeat_failed(training, deadline, permissions)
+
+
+def _repeat_failed(t: TrainingEvidence, deadline: float, permissions: Permissions) -> list[Trace]:
+    """The first episodes without success of the quoted evaluation, until the deadline."""
+    kept = quoted_episodes(t.run) if t.final_episodes and t.run.program.defines_success else None
+    if kept is None or t.run.program.agent.copies is not None or time.monotonic() > deadline:
+        return []
+    numbers = [number for number, each in enumerate(kept[1].outcomes) if not each.is_success][:FAILED_EPISODES]
+    found = []
+    try:
+        for trace in trace_episodes(t.run, numbers, **kept[1].replay_options, permissions=permissions):
+            found.append(trace)
+            if time.monotonic() > deadline:
+                break
+    except DeepbotsError:  # its model is missing, for example
+        pass
+    return found
 
 
 def _teachers(t: TrainingEvidence) -> list[str]:

@@ -8,7 +8,7 @@ from math import ceil, nextafter
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import Threshold, comparisons, has_choice, is_clock, thresholds
 from deepbots_cli.analysis.ranges import Ranges
-from deepbots_cli.analysis.returns import RewardTerms, Terms, total_range
+from deepbots_cli.analysis.returns import RewardTerms, Terms, is_progress, total_range
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
@@ -17,8 +17,6 @@ from deepbots_cli.lint.context import RuleContext, Simulation
 from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM, SimulatedEpisode
 from deepbots_cli.program.values import Expression
 
-_PROGRESS_FUNCTIONS = frozenset({"delta", "previous", "running_min", "running_max", "accumulate", "rising_edge", "hold"})
-"""Functions that pay for getting somewhere, and nothing for staying."""
 _RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "joint_velocity"})
 """Facts that are 0 while nothing moves."""
 _CLOCKS = frozenset({"time", "step"})
@@ -384,11 +382,6 @@ def _place_pays(simulation: Simulation, success: Expression) -> list[Finding]:
     headline += f", but `{success.name}` pays {prize:.3g} only once"
     also = (Label(success.span, "ends these payments"),)
     return [Finding("DB708", best.span, headline, PROGRESS_HELP, notes=(simulation.summary,), labels=also)]
-
-
-def is_progress(analysis: Analysis, node: Scalar) -> bool:
-    """Whether a value depends on what was before."""
-    return any(isinstance(part, State) and part.function in _PROGRESS_FUNCTIONS for part in analysis.walk_definitions(node))
 
 
 def _is_motion(analysis: Analysis, node: Scalar) -> bool:

@@ -1,4 +1,4 @@
-"""A short training with an evaluation, for all tests that read it."""
+"""Short trainings, for all tests that read them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from deepbots_cli import api
 from deepbots_cli.learning import evaluate, train
 from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import Run
+from tests.insight.logs import train_shuttle
 
 
 @pytest.fixture(scope="session")
@@ -21,3 +22,15 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     trained = train(compiled, run=folder / "cartpole", seed=3, total_timesteps=256, command=("deepbots", "train", "<b>cartpole</b>"))
     Run.open(trained.run).write_evaluation(to_json(evaluate(trained.run, episodes=12)))
     return trained.run
+
+
+@pytest.fixture(scope="session")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A training of two rollouts; not to be changed."""
+    return train("cartpole", total_timesteps=1024, seed=2, run=tmp_path_factory.mktemp("runs") / "short").run
+
+
+@pytest.fixture(scope="session")
+def carriage(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short training in one stage, of a scenario that plans 24,000 steps; not to be changed."""
+    return train_shuttle(tmp_path_factory.mktemp("runs"))

@@ -32,36 +32,10 @@ from deepbots_cli.learning.run import EvaluationRecord, Run, run_lock
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes
 from deepbots_cli.rollout import Episode
 from tests.insight.broken import BROKEN, all_causes
+from tests.insight.logs import evaluations_with, outcomes, returns_of, train_shuttle, with_logs
 
 DOCS = Path(__file__).parents[2] / "docs" / "diagnose.md"
-SHUTTLE = Path(__file__).with_name("shuttle.yaml")
 SEED = 1
-
-
-@pytest.fixture(scope="session")
-def short(tmp_path_factory) -> Path:
-    """A training of two rollouts; not to be changed."""
-    return train("cartpole", total_timesteps=1024, seed=2, run=tmp_path_factory.mktemp("runs") / "short").run
-
-
-def _logs(
-    run: Path, returns, lengths=None, ending="fallen", success=False, stages="", drawn="", evaluations=(), **scalars
-) -> TrainingEvidence:
-    """A training with these logs in the place of its own, and without short episodes."""
-    returns = np.asarray(returns, float)
-    lengths = returns if lengths is None else np.asarray(lengths, float)
-    count = len(returns)
-    given = [np.broadcast_to(np.asarray(value, kind), count) for value, kind in ((success, float), (ending, object), (stages, object))]
-    columns = [np.cumsum(lengths), returns, lengths, *given, np.broadcast_to(np.asarray(drawn, object), count)]
-    episodes = np.rec.fromarrays(columns, names="steps, returns, lengths, successes, endings, stages, drawn")
-    curves = {name.replace("__", "/"): (np.arange(len(values), dtype=float), np.asarray(values, float)) for name, values in scalars.items()}
-    return replace(read_training(Run.open(run)), all_episodes=episodes, scalars=curves, all_evaluations=list(evaluations))
-
-
-def _evaluated(*rates: float, stage: str = "", every: int = 1000, returns: float = 1.0) -> list[dict]:
-    """Evaluations of 20 episodes during a training, with these success rates."""
-    wins = [[True] * round(20 * rate) + [False] * (20 - round(20 * rate)) for rate in rates]
-    return [{"steps": every * (k + 1), "stage": stage, "returns": [returns] * 20, "successes": won} for k, won in enumerate(wins)]
 
 
 def _causes(training: TrainingEvidence) -> list[str]:
@@ -70,14 +44,14 @@ def _causes(training: TrainingEvidence) -> list[str]:
 
 def test_logs_alone_tell_some_causes(short):
     noise = np.random.default_rng(0).normal(0, 3, 200)
-    assert _causes(_logs(short, -30 + noise, 30 - noise))[0] == "ending_early_pays"
-    assert _causes(_logs(short, np.full(50, 3.0)))[0] == "ending_at_once"
-    assert _causes(_logs(short, 30 + np.arange(200) / 4 + noise))[0] == "too_few_steps"
-    leveled = diagnose(_logs(short, 100 - 70 * np.exp(-np.arange(200) / 40) + noise))
+    assert _causes(with_logs(short, -30 + noise, 30 - noise))[0] == "ending_early_pays"
+    assert _causes(with_logs(short, np.full(50, 3.0)))[0] == "ending_at_once"
+    assert _causes(with_logs(short, 30 + np.arange(200) / 4 + noise))[0] == "too_few_steps"
+    leveled = diagnose(with_logs(short, 100 - 70 * np.exp(-np.arange(200) / 40) + noise))
     assert not any("still learns" in cause.text for cause in leveled)
     # 1 % of the planned timesteps: later episodes may end in other ways, or succeed
-    assert [cause.text.partition(".")[0] for cause in diagnose(_logs(short, 30 + noise))] == ["The training is short"]
-    assert "exploration_collapsed" in _causes(_logs(short, 30 + noise, train__entropy_loss=[-0.6] * 4 + [-0.001] * 10))
+    assert [cause.text.partition(".")[0] for cause in diagnose(with_logs(short, 30 + noise))] == ["The training is short"]
+    assert "exploration_collapsed" in _causes(with_logs(short, 30 + noise, train__entropy_loss=[-0.6] * 4 + [-0.001] * 10))
 
 
 @pytest.fixture(scope="session")
@@ -90,7 +64,7 @@ def aiming(tmp_path_factory) -> Path:
 
 def test_a_training_that_stays_at_a_local_optimum_is_told_the_term_that_pays_it(aiming):
     returns = 100 - 70 * np.exp(-np.arange(200) / 20) + np.random.default_rng(0).normal(0, 3, 200)
-    first = diagnose(_logs(aiming, returns, np.full(200, 100), reward__alive=returns))[0]
+    first = diagnose(with_logs(aiming, returns, np.full(200, 100), reward__alive=returns))[0]
     assert (first.cause, first.evidence["term"], first.evidence["term_share"]) == ("success_never_seen", "alive", 1.0)
     assert "'alive' gives 100% of the positive reward of late episodes" in first.text
     assert "a reward term for progress" not in first.advice
@@ -99,12 +73,12 @@ def test_a_training_that_stays_at_a_local_optimum_is_told_the_term_that_pays_it(
 
 def test_a_training_without_a_success_is_not_first_told_to_train_on(aiming):
     rising = 30 + np.arange(200) / 4 + np.random.default_rng(0).normal(0, 3, 200)
-    causes = _causes(_logs(aiming, rising, np.full(200, 100), reward__alive=rising))
+    causes = _causes(with_logs(aiming, rising, np.full(200, 100), reward__alive=rising))
     assert causes.index("success_never_seen") < causes.index("too_few_steps")
 
 
 def test_a_policy_that_succeeds_in_a_later_evaluation_is_not_told_to_train_on(aiming, tmp_path, capsys):
-    training = _logs(aiming, 30 + np.arange(200) / 4, np.full(200, 100))
+    training = with_logs(aiming, 30 + np.arange(200) / 4, np.full(200, 100))
 
     def evaluated(mean_return: float) -> list:
         last = {"returns": [mean_return] * 30, "successes": [True] * 29 + [False]}
@@ -120,7 +94,7 @@ def test_a_policy_that_succeeds_in_a_later_evaluation_is_not_told_to_train_on(ai
 
 
 def test_steps_beyond_the_plan_read_sensibly(short):
-    training = _logs(short, 30 + np.arange(200) / 4 + np.random.default_rng(0).normal(0, 3, 200))
+    training = with_logs(short, 30 + np.arange(200) / 4 + np.random.default_rng(0).normal(0, 3, 200))
     (found,) = [cause for cause in diagnose(training) if cause.cause == "too_few_steps"]
     assert "10,984 steps in 200 episodes; the scenario sets 100,000" in found.text
 
@@ -128,40 +102,17 @@ def test_steps_beyond_the_plan_read_sensibly(short):
 STAGES = "[{name: wide, set: {near: 6 cm}, until: success_rate >= 80 % over 40 episodes}, {name: exact, set: {near: 1 mm}}]"
 
 
-def _shuttle(folder: Path, *overrides: str) -> Path:
-    compiled = api.compile(api.load(SHUTTLE, overrides=["train.environments=2", "train.n_steps=32", *overrides]))
-    return train(compiled, total_timesteps=128, seed=2, run=folder / "shuttle").run
-
-
-@pytest.fixture(scope="session")
-def carriage(tmp_path_factory) -> Path:
-    """A short training in one stage, of a scenario that plans 24,000 steps; not to be changed."""
-    return _shuttle(tmp_path_factory.mktemp("runs"))
-
-
 @pytest.fixture(scope="session")
 def staged(tmp_path_factory) -> Path:
     """The same with a curriculum of two stages; not to be changed."""
-    return _shuttle(tmp_path_factory.mktemp("runs"), f"curriculum={STAGES}")
-
-
-def _outcomes(count: int, *rates: float) -> np.ndarray:
-    """Successes of episodes whose rate goes from one value to the next."""
-    wanted = np.interp(np.linspace(0, 1, count), np.linspace(0, 1, len(rates)), rates)
-    return (np.random.default_rng(7).random(count) < wanted).astype(float)
-
-
-def _returns(successes: np.ndarray, *means: float) -> np.ndarray:
-    """Returns whose mean goes from one value to the next, and that a success raises by 5."""
-    means = np.interp(np.linspace(0, 1, len(successes)), np.linspace(0, 1, len(means)), means)
-    return means + 5 * successes + np.random.default_rng(8).normal(0, 0.3, len(successes))
+    return train_shuttle(tmp_path_factory.mktemp("runs"), f"curriculum={STAGES}")
 
 
 def test_evaluations_of_an_easy_stage_do_not_count_as_solved(staged):
     """They hid every cause."""
-    good = _outcomes(400, 0.7, 0.95)
-    evaluations = _evaluated(*[0.95] * 20, stage="wide")
-    training = _logs(staged, _returns(good, 1), np.full(400, 60), success=good, stages="wide", evaluations=evaluations)
+    good = outcomes(400, 0.7, 0.95)
+    evaluations = evaluations_with(*[0.95] * 20, stage="wide")
+    training = with_logs(staged, returns_of(good, 1), np.full(400, 60), success=good, stages="wide", evaluations=evaluations)
     assert not training.solved
     first = diagnose(training)[0]
     assert first.cause == "easy_stage_counted"
@@ -177,41 +128,41 @@ def test_evaluations_of_an_easy_stage_do_not_count_as_solved(staged):
 
 def test_returns_of_different_stages_are_not_compared(staged):
     """The second stage earns more, and nothing rises in it."""
-    good = np.concatenate([_outcomes(200, 0.5, 0.9), _outcomes(400, 0.5, 0.5)])
-    returns = _returns(good, 0) + np.repeat([0.0, 10.0], [200, 400])
+    good = np.concatenate([outcomes(200, 0.5, 0.9), outcomes(400, 0.5, 0.5)])
+    returns = returns_of(good, 0) + np.repeat([0.0, 10.0], [200, 400])
     stages = np.repeat(["wide", "exact"], [200, 400]).astype(object)
-    training = _logs(staged, returns, np.full(600, 60), success=good, stages=stages)
+    training = with_logs(staged, returns, np.full(600, 60), success=good, stages=stages)
     assert (training.first_step, training.stage_steps) == (12_000, 24_000)
     assert set(_causes(training)) & {"too_few_steps", "reward_apart_from_success"} == set()
     assert _causes(training)[0] == "success_plateau"
 
 
 def test_a_step_to_a_stage_that_is_too_hard_is_named_with_the_settings_that_change(staged):
-    good = np.concatenate([_outcomes(200, 0.5, 0.9), np.zeros(400)])
+    good = np.concatenate([outcomes(200, 0.5, 0.9), np.zeros(400)])
     stages = np.repeat(["wide", "exact"], [200, 400]).astype(object)
-    first = diagnose(_logs(staged, _returns(good, 0, 1), np.full(600, 60), success=good, stages=stages))[0]
+    first = diagnose(with_logs(staged, returns_of(good, 0, 1), np.full(600, 60), success=good, stages=stages))[0]
     assert first.cause == "stage_too_hard"
     assert "near: 6 cm -> 1 mm" in first.advice
 
 
 def test_a_stage_that_its_criterion_never_ends_is_told_with_what_it_reaches(staged):
-    good = _outcomes(400, 0.2, 0.5, 0.5, 0.5)
-    first = diagnose(_logs(staged, _returns(good, 0), np.full(400, 60), success=good, stages="wide"))[0]
+    good = outcomes(400, 0.2, 0.5, 0.5, 0.5)
+    first = diagnose(with_logs(staged, returns_of(good, 0), np.full(400, 60), success=good, stages="wide"))[0]
     assert first.cause == "stuck_in_stage"
     assert "the stage ends at 80%" in first.text
     assert "`until: success_rate >= 4" in first.advice
-    rising = _outcomes(400, 0, 0.1, 0.2, 0.75)
-    assert "stuck_in_stage" not in _causes(_logs(staged, _returns(rising, 0), np.full(400, 60), success=rising, stages="wide"))
+    rising = outcomes(400, 0, 0.1, 0.2, 0.75)
+    assert "stuck_in_stage" not in _causes(with_logs(staged, returns_of(rising, 0), np.full(400, 60), success=rising, stages="wide"))
 
 
 def test_a_success_rate_that_is_flat_is_a_plateau_whatever_the_return_does(carriage):
     """It was told to train on."""
-    good = _outcomes(400, 0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)
-    causes = _causes(_logs(carriage, _returns(good, 0, 4), np.full(400, 60), success=good))
+    good = outcomes(400, 0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)
+    causes = _causes(with_logs(carriage, returns_of(good, 0, 4), np.full(400, 60), success=good))
     assert causes[0] == "success_plateau"
     assert "too_few_steps" not in causes
-    rising = _outcomes(400, 0, 0.2, 0.4, 0.7)
-    assert _causes(_logs(carriage, _returns(rising, 0, 4), np.full(400, 60), success=rising)) == ["too_few_steps"]
+    rising = outcomes(400, 0, 0.2, 0.4, 0.7)
+    assert _causes(with_logs(carriage, returns_of(rising, 0, 4), np.full(400, 60), success=rising)) == ["too_few_steps"]
 
 
 def test_the_starts_that_fail_are_named_with_the_value_that_they_draw(carriage):
@@ -219,7 +170,7 @@ def test_the_starts_that_fail_are_named_with_the_value_that_they_draw(carriage):
     places, other = generator.uniform(-1, 1, (2, 400))
     good = ((places > -0.5) & (generator.random(400) < 0.8)).astype(float)
     drawn = [json.dumps({"other": b, "reset.place.bar.y": a}) for a, b in zip(places, other, strict=True)]
-    first = diagnose(_logs(carriage, _returns(good, 0), np.full(400, 60), success=good, drawn=drawn))[0]
+    first = diagnose(with_logs(carriage, returns_of(good, 0), np.full(400, 60), success=good, drawn=drawn))[0]
     assert first.cause == "some_starts_fail"
     assert first.evidence["drawn"] == "reset.place.bar.y"
     worst = first.evidence["bins"][0]
@@ -233,57 +184,59 @@ def test_starts_that_fail_are_named_though_the_evaluations_succeed_in_four_of_fi
     places = np.random.default_rng(5).uniform(-1, 1, 400)
     good = (places > -0.5).astype(float)
     drawn = [json.dumps({"place": place}) for place in places]
-    training = _logs(carriage, _returns(good, 0), np.full(400, 60), success=good, drawn=drawn, evaluations=_evaluated(*[0.8] * 20))
+    training = with_logs(
+        carriage, returns_of(good, 0), np.full(400, 60), success=good, drawn=drawn, evaluations=evaluations_with(*[0.8] * 20)
+    )
     assert _causes(training) == ["some_starts_fail"]
 
 
 def test_one_success_among_thousands_is_as_good_as_none(carriage):
     good = np.zeros(2706)
     good[1200] = 1
-    first = diagnose(_logs(carriage, _returns(good, 0), np.full(2706, 60), success=good))[0]
+    first = diagnose(with_logs(carriage, returns_of(good, 0), np.full(2706, 60), success=good))[0]
     assert first.cause == "success_never_seen"
     assert "Only 1 of 2,706 episodes is a success" in first.text
     late = np.concatenate([np.zeros(380), np.tile([0.0, 1.0], 10)])  # success has just begun
-    assert "success_never_seen" not in _causes(_logs(carriage, _returns(late, 0, 2), np.full(400, 60), success=late))
+    assert "success_never_seen" not in _causes(with_logs(carriage, returns_of(late, 0, 2), np.full(400, 60), success=late))
 
 
 def test_advice_on_exploration_names_options_that_the_algorithm_has(staged, tmp_path):
     """PPO has no action noise, and its `ent_coef` is 0."""
-    good = _outcomes(400, 0.0, 0.05)
-    logs = {"lengths": np.full(400, 60), "success": good, "stages": "wide", "evaluations": _evaluated(*[1.0] * 20, stage="wide")}
-    first = diagnose(_logs(staged, _returns(good, 0), **logs))[0]
+    good = outcomes(400, 0.0, 0.05)
+    logs = {"lengths": np.full(400, 60), "success": good, "stages": "wide", "evaluations": evaluations_with(*[1.0] * 20, stage="wide")}
+    first = diagnose(with_logs(staged, returns_of(good, 0), **logs))[0]
     assert first.cause == "exploration_hides_success"
     assert "with `in evaluation` in its `until`" in first.advice
     assert "ent_coef" not in first.advice
     assert "action_noise" not in first.advice
-    weighted = _shuttle(tmp_path, f"curriculum={STAGES}", "train.ent_coef=0.05")
-    advised = diagnose(_logs(weighted, _returns(good, 0), **logs))[0]
+    weighted = train_shuttle(tmp_path, f"curriculum={STAGES}", "train.ent_coef=0.05")
+    advised = diagnose(with_logs(weighted, returns_of(good, 0), **logs))[0]
     assert "lower `train.ent_coef` from 0.05 to 0.005" in advised.advice
     assert advised.settings == {"train.ent_coef": "0.005"}
 
 
 def test_action_noise_of_zero_is_raised_to_a_number_above_zero(tmp_path):
-    silent = _shuttle(tmp_path, "train={algorithm: TD3, total_timesteps: 24000, action_noise: {type: normal, sigma: 0}}")
-    collapsed = diagnose(_logs(silent, _returns(np.zeros(400), 0)))
+    silent = train_shuttle(tmp_path, "train={algorithm: TD3, total_timesteps: 24000, action_noise: {type: normal, sigma: 0}}")
+    collapsed = diagnose(with_logs(silent, returns_of(np.zeros(400), 0)))
     (found,) = [each for each in collapsed if each.cause == "exploration_collapsed"]
     assert "aise `train.action_noise.sigma` from 0 to 0.3" in found.advice
     assert found.settings == {"train.action_noise.sigma": "0.3"}
 
 
 def test_a_learning_rate_that_is_far_too_low_is_not_told_to_train_on(tmp_path):
-    run = _shuttle(tmp_path, "train.learning_rate=1e-5")
-    flat = _returns(np.zeros(400), 0)
-    first = diagnose(_logs(run, flat, np.full(400, 60), train__approx_kl=[1e-7] * 20))[0]
+    run = train_shuttle(tmp_path, "train.learning_rate=1e-5")
+    flat = returns_of(np.zeros(400), 0)
+    first = diagnose(with_logs(run, flat, np.full(400, 60), train__approx_kl=[1e-7] * 20))[0]
     assert (first.cause, first.settings) == ("learning_rate_too_low", {"train.learning_rate": "0.003"})
     assert "300 times lower than the usual 0.003" in first.text
-    assert "learning_rate_too_low" not in _causes(_logs(run, flat, np.full(400, 60), train__approx_kl=[0.01] * 20))
-    rising = _logs(run, _returns(np.zeros(400), 0, 9), np.full(400, 60), train__approx_kl=[1e-7] * 20)
+    assert "learning_rate_too_low" not in _causes(with_logs(run, flat, np.full(400, 60), train__approx_kl=[0.01] * 20))
+    rising = with_logs(run, returns_of(np.zeros(400), 0, 9), np.full(400, 60), train__approx_kl=[1e-7] * 20)
     assert "learning_rate_too_low" not in _causes(rising)
 
 
 def test_a_training_that_stopped_by_luck_is_continued_to_its_planned_steps(carriage):
     """Its episodes and an evaluation met `solved`, 100 further episodes did not: it was given no cause at all."""
-    training = _logs(carriage, _returns(np.ones(400), 0), np.full(400, 60), success=1.0)
+    training = with_logs(carriage, returns_of(np.ones(400), 0), np.full(400, 60), success=1.0)
     record = training.run.record
     met = SolvedAt(episode=200, steps=12_000, simulated_hours=1.0, cpu_seconds=1.0, mean_return=4.0, success_rate=1.0)
     training.run.record = record.model_copy(
@@ -302,36 +255,36 @@ def test_a_training_that_stopped_by_luck_is_continued_to_its_planned_steps(carri
 
 def test_rewards_that_the_critic_cannot_follow_are_normalized(short):
     noise = np.random.default_rng(0).normal(0, 3, 200)
-    training = _logs(short, 30_000 + 1000 * noise, 30 + noise, train__explained_variance=[0.02] * 20)
+    training = with_logs(short, 30_000 + 1000 * noise, 30 + noise, train__explained_variance=[0.02] * 20)
     (found,) = [each for each in diagnose(training) if each.cause == "rewards_too_large"]
     assert found.settings == {"train.normalize": "reward"}
-    assert "rewards_too_large" not in _causes(_logs(short, 30_000 + 1000 * noise, 30 + noise, train__explained_variance=[0.9] * 20))
-    assert "rewards_too_large" not in _causes(_logs(short, 30 + noise, 30 + noise, train__explained_variance=[0.02] * 20))
+    assert "rewards_too_large" not in _causes(with_logs(short, 30_000 + 1000 * noise, 30 + noise, train__explained_variance=[0.9] * 20))
+    assert "rewards_too_large" not in _causes(with_logs(short, 30 + noise, 30 + noise, train__explained_variance=[0.02] * 20))
 
 
 def test_a_discount_factor_that_hides_the_success_is_raised_by_the_length_of_an_episode(tmp_path):
-    flat = {"returns": _returns(np.zeros(400), 0), "lengths": np.full(400, 60)}
-    first = diagnose(_logs(_shuttle(tmp_path / "far", "train.gamma=0.4"), **flat))[0]
+    flat = {"returns": returns_of(np.zeros(400), 0), "lengths": np.full(400, 60)}
+    first = diagnose(with_logs(train_shuttle(tmp_path / "far", "train.gamma=0.4"), **flat))[0]
     assert (first.cause, first.settings) == ("horizon_too_short", {"train.gamma": "0.95"})  # at most 60 steps: 0.95^60 is 5 %
-    assert "horizon_too_short" not in _causes(_logs(_shuttle(tmp_path / "near", "train.gamma=0.95"), **flat))
+    assert "horizon_too_short" not in _causes(with_logs(train_shuttle(tmp_path / "near", "train.gamma=0.95"), **flat))
 
 
 def test_a_success_that_needs_exploration_is_named(carriage):
     """Without noise on its actions, the policy stood still."""
-    good = _outcomes(400, 0.2, 0.9, 1.0, 1.0)
+    good = outcomes(400, 0.2, 0.9, 1.0, 1.0)
     poor = [Episode(0.0, 60, k < 29, "max_steps") for k in range(100)]
-    training = _logs(carriage, _returns(good, 0), np.full(400, 60), success=good, evaluations=_evaluated(*[0.3] * 20))
+    training = with_logs(carriage, returns_of(good, 0), np.full(400, 60), success=good, evaluations=evaluations_with(*[0.3] * 20))
     first = diagnose(replace(training, final_episodes=poor))[0]
     assert first.cause == "success_needs_exploration"
     assert (first.evidence["with"].rate, first.evidence["without"].rate) == (pytest.approx(1.0, abs=0.03), 0.3)
     assert first.settings == {"train.total_timesteps": "50_000"}
-    high = _evaluated(*[0.9] * 20)
+    high = evaluations_with(*[0.9] * 20)
     assert "success_needs_exploration" not in _causes(replace(training, all_evaluations=high, final_episodes=poor))
 
 
 def test_a_script_that_succeeds_where_the_policy_does_not_is_the_teacher(tmp_path):
     by_hand = "scripts={by_hand: {drive: 4 * gap / m}, idle: {drive: 0}}"
-    training = read_training(Run.open(_shuttle(tmp_path, by_hand)))
+    training = read_training(Run.open(train_shuttle(tmp_path, by_hand)))
     run_probes(training)
     assert {name: len(traces) for name, traces in training.scripts.items()} == {"by_hand": 8, "idle": 8}
     poor = [Episode(0.0, 60, k < 6, "max_steps") for k in range(100)]
@@ -344,32 +297,32 @@ def test_a_script_that_succeeds_where_the_policy_does_not_is_the_teacher(tmp_pat
 
 def test_a_stage_that_exploration_prolonged_is_named(staged):
     """Its evaluations had reached the criterion long before the episodes of the training did."""
-    good = np.concatenate([_outcomes(300, 0.0, 0.5), _outcomes(300, 0.4, 0.4)])
+    good = np.concatenate([outcomes(300, 0.0, 0.5), outcomes(300, 0.4, 0.4)])
     stages = np.repeat(["wide", "exact"], [300, 300]).astype(object)
-    evaluations = _evaluated(*[0.0] * 5, *[1.0] * 13, stage="wide")
-    training = _logs(staged, _returns(good, 0), np.full(600, 60), success=good, stages=stages, evaluations=evaluations)
+    evaluations = evaluations_with(*[0.0] * 5, *[1.0] * 13, stage="wide")
+    training = with_logs(staged, returns_of(good, 0), np.full(600, 60), success=good, stages=stages, evaluations=evaluations)
     (found,) = [each for each in diagnose(training) if each.cause == "exploration_delays_stage"]
     assert found.evidence["delay"] == 18_060 - 6_000
 
 
 def test_a_success_that_earns_less_than_its_absence_is_named(carriage):
-    good = _outcomes(400, 0.3, 0.3)
-    first = diagnose(_logs(carriage, _returns(good, 5) - 12 * good, np.full(400, 60), success=good))[0]
+    good = outcomes(400, 0.3, 0.3)
+    first = diagnose(with_logs(carriage, returns_of(good, 5) - 12 * good, np.full(400, 60), success=good))[0]
     assert first.cause == "reward_apart_from_success"
     assert "the mean return is -1.97 in " in first.text
-    falling = _outcomes(400, 0.6, 0.1, 0.1)
-    first = diagnose(_logs(carriage, _returns(falling, 0, 9), np.full(400, 60), success=falling, reward__closer=np.arange(20.0)))[0]
+    falling = outcomes(400, 0.6, 0.1, 0.1)
+    first = diagnose(with_logs(carriage, returns_of(falling, 0, 9), np.full(400, 60), success=falling, reward__closer=np.arange(20.0)))[0]
     assert (first.cause, first.evidence["term"]) == ("reward_apart_from_success", "closer")
 
 
 def test_dying_early_is_named_with_the_success_rate_from_which_going_on_pays(tmp_path):
     """A step costs 2, a hit 5, and a success earns 10."""
-    run = Run.open(_shuttle(tmp_path, "termination.failure={hit: abs(shuttle.place) > 0.49 m}", "reward.time=-2"))
+    run = Run.open(train_shuttle(tmp_path, "termination.failure={hit: abs(shuttle.place) > 0.49 m}", "reward.time=-2"))
     generator = np.random.default_rng(5)
     lengths = np.concatenate([np.full(20, 60), np.full(20, 30), generator.integers(8, 20, 360)]).astype(float)
     good, ending = np.zeros(400), np.array(["max_steps"] * 20 + ["parked"] * 20 + ["hit"] * 360, object)
     good[20:40] = 1
-    training = _logs(run.path, -2 * lengths + 40 * good - 5 * (ending == "hit"), lengths, success=good, ending=ending)
+    training = with_logs(run.path, -2 * lengths + 40 * good - 5 * (ending == "hit"), lengths, success=good, ending=ending)
     first = diagnose(training)[0]
     assert first.cause == "ending_early_pays"
     assert first.evidence["break_even"] == pytest.approx((-5 - 2 * lengths[40:].mean() + 120) / (-20 + 120), abs=1e-6)
@@ -383,18 +336,18 @@ def test_a_training_that_runs_is_not_told_to_resume(carriage, tmp_path, capsys):
     text = capsys.readouterr().out
     assert "it still runs" in text
     assert "--resume" not in text
-    rising = _returns(np.zeros(100), 0, 5)
-    training = replace(_logs(carriage, rising, np.full(100, 60)), is_running=True)
+    rising = returns_of(np.zeros(100), 0, 5)
+    training = replace(with_logs(carriage, rising, np.full(100, 60)), is_running=True)
     assert [each.advice for each in diagnose(training)] == ["Let it run: 6,000 of 128 steps have been made."]
     assert main(["diagnose", str(run), "--only-logs"]) == 0
     assert "--resume" in capsys.readouterr().out
 
 
 def test_a_run_whose_last_evaluation_misses_the_criterion_is_not_told_to_be_solved(tmp_path, capsys):
-    run = Run.open(_shuttle(tmp_path, "solved=success_rate >= 95 % over 100 episodes"))
+    run = Run.open(train_shuttle(tmp_path, "solved=success_rate >= 95 % over 100 episodes"))
     good = np.ones(400)
     done = [Episode(5.0, 60, k >= 7, "parked") for k in range(100)]
-    training = _logs(run.path, _returns(good, 0), np.full(400, 60), success=good, evaluations=_evaluated(*[1.0] * 20))
+    training = with_logs(run.path, returns_of(good, 0), np.full(400, 60), success=good, evaluations=evaluations_with(*[1.0] * 20))
     assert training.solved
     assert not replace(training, final_episodes=done, verdict=RunVerdict(False, None)).solved
 
@@ -406,7 +359,7 @@ def test_a_sensor_that_saw_nothing_is_not_told_to_have_a_smaller_range(tmp_path)
         "robots.shuttle.emit=[place, ray]",
         "observation={shuttle.place: -0.5 .. 0.5 m, gap: -0.9 .. 0.9 m, shuttle.ray: auto}",
     ]
-    training = read_training(Run.open(_shuttle(tmp_path, *overrides)))
+    training = read_training(Run.open(train_shuttle(tmp_path, *overrides)))
     run_probes(training)
     (found,) = [each for each in diagnose(training) if each.cause == "sensor_without_reading"]
     assert "shuttle.ray.r0 always 0.3 m" in found.text
@@ -415,7 +368,7 @@ def test_a_sensor_that_saw_nothing_is_not_told_to_have_a_smaller_range(tmp_path)
 
 
 def test_staying_near_the_success_is_named_where_it_pays_more(carriage, tmp_path):
-    run = Run.open(_shuttle(tmp_path, "reward.warm=max(0, 1 - abs(gap) / (15 cm))"))
+    run = Run.open(train_shuttle(tmp_path, "reward.warm=max(0, 1 - abs(gap) / (15 cm))"))
     watch = instrument_program(run.program, include_observation=True)
     world = TraceRecorder(api.build(watch.program, engine="mujoco"), watch)
     with closing(world):
@@ -426,8 +379,8 @@ def test_staying_near_the_success_is_named_where_it_pays_more(carriage, tmp_path
             observation, _, failed, ended, _ = world.step(np.array([np.sign(gap) if abs(gap) > 0.06 else 0.0], np.float32))
             assert not failed
         staying = world.trace("an episode")
-    good = _outcomes(400, 0.3, 0.05)
-    training = _logs(run.path, _returns(good, 10, 30), np.full(400, 60), success=good, ending="max_steps")
+    good = outcomes(400, 0.3, 0.05)
+    training = with_logs(run.path, returns_of(good, 10, 30), np.full(400, 60), success=good, ending="max_steps")
     first = diagnose(replace(training, policy=[staying]))[0]
     assert (first.cause, first.evidence["term"]) == ("loitering", "warm")
     assert 0.5 < first.evidence["per_step"] < 0.7
@@ -445,7 +398,7 @@ def test_a_training_that_stops_at_a_reset_has_this_cause_alone(tmp_path, capsys)
 
 def test_a_training_that_solves_its_task_has_no_causes(short):
     """The same logs as a collapsed exploration, and an evaluation that meets `solved`."""
-    training = _logs(short, np.full(200, 200.0), ending="max_steps", train__entropy_loss=[-0.001] * 20)
+    training = with_logs(short, np.full(200, 200.0), ending="max_steps", train__entropy_loss=[-0.001] * 20)
     evaluation = {"returns": [200.0] * 20, "successes": [False] * 20}
     assert _causes(replace(training, all_evaluations=[evaluation])) == []
 

@@ -31,9 +31,9 @@ def command(
 
     The file holds the result with its interval, learning curves, reward terms, endings, plots of the return against each value that
     is drawn at random at the start of an episode, trajectories, and clips of the best, the median and the worst episode. Of a training
-    with a teacher, it holds the score of the script and how the policy learns from it. It also holds the scenario, the findings of lint and
-    the versions. It loads nothing from elsewhere, needs no JavaScript, and can be sent and archived as it is. It follows the light or dark
-    setting of the browser.
+    with a teacher, it holds the score of the script and how the policy learns from it. Of a training that does not solve its task, it holds
+    the causes, as `deepbots diagnose` finds them. It also holds the scenario, the findings of lint and the versions. It loads nothing from
+    elsewhere, needs no JavaScript, and can be sent and archived as it is. It follows the light or dark setting of the browser.
 
     The results come from an evaluation of the best model; if there are several evaluations, from the one with the most episodes.
     `deepbots eval RUN --episodes N` adds an evaluation. Clips need an engine that can draw; --no-clips leaves them out.
@@ -75,6 +75,8 @@ def command(
         shown, permissions = report.choose_episodes(episodes), Permissions(code=allow_code)
         with terminal.progress("episodes") as show:
             report.repeat_episodes(shown, show or (lambda done, of: None), clips=clips, permissions=permissions)
+        with terminal.transient_line("looking for the causes ..."):
+            report.find_causes(permissions)
     with terminal.transient_line("drawing ..."):
         with atomic_write(target) as draft:
             draft.write_text(report.html(), encoding="utf-8")
@@ -82,5 +84,6 @@ def command(
     for note in report.notes:
         terminal.note(f"note: {note}")
     drawn = f", {len(written)} figures in {quote(str(figures))}" if written else ""
-    data = {"report": target, "result": report.result, "figures": written, "notes": report.notes}
+    causes = [cause.as_json() for cause in report.causes] if isinstance(report, of_runs.Report) else []
+    data = {"report": target, "result": report.result, "causes": causes, "figures": written, "notes": report.notes}
     terminal.show(data, report.result, f"{target} ({target.stat().st_size / 1000:,.0f} kB){drawn}", as_json=as_json)

@@ -1,0 +1,144 @@
+"""Causes in the end of a training: it was too short, stopped too early, or kept another model than the best one."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from shlex import quote
+from statistics import fmean
+from typing import Any
+
+from deepbots_cli.insight.stages import needs_exploration, plateau
+from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate
+from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
+from deepbots_cli.learning.order import measure_of
+from deepbots_cli.learning.report import longer_goal
+
+TOTAL_TIMESTEPS = "train.total_timesteps"
+"""The setting whose new value continues a training, where the others begin another one."""
+_CLEARLY_MORE = 0.2
+"""By how much the success rates of two evaluations differ, so that the better one is not so by chance alone: with 20
+starts, which both have, the standard deviation of one rate is 0.11 at most."""
+
+
+def one_ending(t: TrainingEvidence) -> Numbers | None:
+    """'{ending}' ends {share} of the last {episodes} episodes, after {length} steps on average.
+
+    Try: Run `deepbots diagnose RUN --episode failed`: it shows the value and the threshold of this ending in one of these episodes.
+    """
+    late = t.episodes_between(0.75, 1.0)
+    if len(late) < MIN_EPISODES:
+        return None
+    name, count = Counter(late.endings).most_common(1)[0]
+    share = count / len(late)
+    is_failure = name in t.program.failures
+    if not is_failure or share < 0.9 or len(t.program.endings) < 2 or returns_rise(t) is not None:
+        return None
+    return {
+        "likelihood": 0.25,
+        "ending": name,
+        "share": Percentage(share),
+        "episodes": len(late),
+        "length": float(late.lengths.mean()),
+    }
+
+
+def stopped_early(t: TrainingEvidence) -> Numbers | None:
+    """The training stopped after {steps} of {planned} steps, {reason}. {verdict}: {result}.
+
+    Try: {advice}
+    """
+    result, evaluation = t.run.record.result, t.verdict.evaluation
+    if result is None or result.solved_at is None or t.is_running or t.verdict.solved is not False or evaluation is None:
+        return None
+    if t.steps > 0.95 * t.run.record.total_timesteps or needs_exploration(t) is not None:
+        return None
+    reason = "because a confirmation, of new episodes without exploration, met `solved`"
+    if result.confirmed_at is None:
+        reason = "because its own episodes met `solved`: a version before 0.2 did not confirm this with new starts"
+    return {
+        **training_length(t, t.run.record.total_timesteps),
+        "likelihood": 0.9,
+        "planned": t.run.record.total_timesteps,
+        "reason": reason,
+        "verdict": f"An evaluation of {evaluation.episodes:,} episodes does not meet it",
+        "result": evaluation.text,
+    }
+
+
+def kept_by_return(t: TrainingEvidence) -> Numbers | None:
+    """The kept model is not the one that succeeds most: after {kept_at} steps it succeeded in {kept} of its evaluation,
+    and the model after {best_at} steps in {best}. It was chosen by its return, {kept_return} against {best_return}.
+
+    Try: {remedy}
+    """
+    agent, result = t.run.program.agent, t.run.record.result
+    model = None if result is None else result.best_model
+    if model is None or model.measure != "mean_return" or not t.run.program.defines_success or not t.is_last_stage:
+        return None
+    done = [each for each in t.evaluations if "steps" in each and each.get("stage", "") == t.stage]
+    if len(done) < 2 or min(len(each["successes"]) for each in done) < MIN_EPISODES:
+        return None
+    saved = [each for each in done if model.steps is not None and each["steps"] == model.steps]
+    kept = saved[0] if saved else max(done, key=_mean_return)
+    best = max(done, key=lambda each: (fmean(each["successes"]), _mean_return(each)))
+    if fmean(best["successes"]) - fmean(kept["successes"]) < _CLEARLY_MORE:
+        return None
+    remedy = "Train again: this version of deepbots keeps the model that succeeds most, by new starts."
+    if measure_of(agent.solved, defines_success=True) == "mean_return":
+        remedy = "Let `solved` name the success rate, such as `success_rate >= 90 % over 100 episodes`: it chooses the model."
+    return {
+        "likelihood": 0.8,
+        "kept_at": int(kept["steps"]),
+        "kept": SuccessRate(kept["successes"]),
+        "kept_return": _mean_return(kept),
+        "best_at": int(best["steps"]),
+        "best": SuccessRate(best["successes"]),
+        "best_return": _mean_return(best),
+        "remedy": f"{remedy} Also make a success earn more than the episodes that this model was chosen by.",
+    }
+
+
+def _mean_return(evaluation: Mapping[str, Any]) -> float:
+    return fmean(evaluation["returns"])
+
+
+def too_few_steps(t: TrainingEvidence) -> Numbers | None:
+    """{finding}. The training has made {steps} steps in {episodes} episodes; the scenario sets {planned} steps.
+
+    Try: {advice}
+    """
+    length, rise, what = training_length(t), returns_rise(t), f"stage '{t.stage}'" if t.stage else "the training"
+    if rise is not None and plateau(t) is None:
+        first, last, gain, chance = rise
+        mean = f"the mean return of the last quarter of {what} is {last:.3g}, {gain:.3g} above that of the first half"
+        return {
+            **length,
+            "likelihood": 0.8 if length["share"] < 0.5 else 0.65,
+            "finding": f"The policy still learns: {mean}",
+            "first": first,
+            "last": last,
+            "gain": gain,
+            "chance": chance,
+        }
+    if length["share"] >= 0.5 or t.is_running or rise is not None:
+        return None
+    return {**length, "likelihood": 0.5, "finding": "The training is short"}
+
+
+def training_length(t: TrainingEvidence, planned: int = 0) -> dict[str, Any]:
+    """How long a training is, and how to train on: to the `planned` steps if they are more than 1.1 times as many, else further."""
+    more = planned if planned > 1.1 * t.steps else max(t.planned, longer_goal(t.steps))
+    command = f"deepbots train --resume {quote(str(t.run.path))} --timesteps {more:_}"
+    advice = f"Continue the training with `{command}`."
+    if t.is_running:
+        advice = f"Let it run: {t.steps:,} of {t.run.record.total_timesteps:,} steps have been made."
+    return {
+        "steps": t.steps,
+        "episodes": len(t.all_episodes),
+        "planned": t.planned,
+        "share": Percentage(t.steps / t.planned),
+        "more": more,
+        "advice": advice,
+        "settings": {} if t.is_running else {TOTAL_TIMESTEPS: f"{more:_}"},
+    }

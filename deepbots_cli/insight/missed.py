@@ -1,0 +1,159 @@
+"""What the episodes without success have in common: the one condition of the success that they miss."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+
+from deepbots_cli.insight.conditions import (
+    SIGN_OF_OPERATOR,
+    Comparison,
+    Condition,
+    MeasuredComparison,
+    comparisons_in,
+    measure,
+)
+from deepbots_cli.insight.statements import Numbers, list_text, quantity_text
+from deepbots_cli.insight.trace import Trace
+from deepbots_cli.insight.training import TrainingEvidence
+
+_MIN_EPISODES = 3
+_COMMON = 0.75
+"""The share of the episodes that miss a condition most, from which on it is what they have in common."""
+_SELDOM, _OFTEN = 0.25, 0.1
+"""A condition keeps episodes from a success if it is true in less than `_SELDOM` times as many moments as each other
+one, and each other one is true in `_OFTEN` of all moments."""
+_CLOCKS = re.compile(r"\s*(?:time|step)\s*")
+
+
+@dataclass(frozen=True)
+class MissedCondition:
+    """A condition of a success in episodes without this success.
+
+    Attributes:
+        ending: The success.
+        condition: The condition, one of several.
+        true: In how many moments it is true; `moments` is the number of all moments.
+        nearest: The median, over the episodes, of the value that is nearest to the threshold, in SI units; None for a
+            truth value.
+        bound: The threshold, in SI units.
+        others: In how many moments each other condition is true, by its text.
+        episodes: How many of the episodes miss it most; `of` is the number of all episodes.
+    """
+
+    ending: str
+    condition: Comparison
+    true: int
+    moments: int
+    nearest: float | None
+    bound: float | None
+    others: Mapping[str, int]
+    episodes: int
+    of: int
+
+
+def missed_success(trace: Trace) -> tuple[str, Condition | None]:
+    """The first success with a bound that an episode without a success missed, and its condition."""
+    if trace.outcome not in ("success", "error"):
+        for name in (*trace.program.agent.success, "goal_reached"):
+            condition = trace.instrumented.conditions.get(name)
+            if condition is not None and any(leaf.bound is not None for leaf in comparisons_in(condition)):
+                return name, condition
+    return "", None
+
+
+def inner_comparisons(condition: Condition) -> list[Comparison]:
+    """The comparisons of a condition, also those that must hold for a time."""
+    outer = comparisons_in(condition)
+    return [part for leaf in outer for part in (comparisons_in(leaf.lasting) if leaf.lasting else [leaf])]
+
+
+def nearest_moment(trace: Trace, leaf: Comparison, moments: Sequence[int] = ()) -> tuple[int, MeasuredComparison]:
+    """The first of the moments in which a comparison came nearest to its bound, or beyond it by most."""
+    past = {step: measure(leaf, trace.values[step]) for step in moments or range(len(trace.values))}
+    step = max(past, key=lambda step: float(past[step].holds if (margin := past[step].margin) is None else margin))
+    return step, past[step]
+
+
+def common_miss(traces: Sequence[Trace]) -> MissedCondition | None:
+    """The condition of the success that episodes without success miss, if it is one and the same."""
+    found = [(trace, *missed_success(trace)) for trace in traces]
+    missed = [(trace, name, inner_comparisons(condition)) for trace, name, condition in found if condition is not None]
+    if len(missed) < _MIN_EPISODES:
+        return None
+    ending = Counter(name for _, name, _ in missed).most_common(1)[0][0]
+    mine = [(trace, _without_clocks(leaves)) for trace, name, leaves in missed if name == ending]
+    leaves = mine[0][1]
+    if len(leaves) < 2 or len(mine) < _MIN_EPISODES:
+        return None
+    counts = [[sum(measure(leaf, values).holds for values in trace.values) for leaf in leaves] for trace, _ in mine]
+    worst = Counter(row.index(min(row)) for row in counts)
+    place, episodes = worst.most_common(1)[0]
+    moments = sum(len(trace.values) for trace, _ in mine)
+    totals = [sum(row[k] for row in counts) for k in range(len(leaves))]
+    others = {leaf.text: total for k, (leaf, total) in enumerate(zip(leaves, totals, strict=True)) if k != place}
+    fewest = min(others.values(), default=0)
+    if episodes < _COMMON * len(mine) or fewest < _OFTEN * moments or totals[place] > _SELDOM * fewest:
+        return None
+    leaf = leaves[place]
+    values = [nearest_moment(trace, leaf)[1] for trace, _ in mine]
+    bounds = [each.bound for each in values if each.bound is not None]
+    return MissedCondition(
+        ending=ending,
+        condition=leaf,
+        true=totals[place],
+        moments=moments,
+        nearest=median(each.value for each in values) if bounds else None,
+        bound=median(bounds) if bounds else None,
+        others=others,
+        episodes=episodes,
+        of=len(mine),
+    )
+
+
+def _without_clocks(leaves: Sequence[Comparison]) -> list[Comparison]:
+    """The comparisons without those of the time, which are true at the end of each long episode."""
+    return [leaf for leaf in leaves if not any(_CLOCKS.fullmatch(side) for side in leaf.sides)]
+
+
+def missed_condition(t: TrainingEvidence) -> Numbers | None:
+    """Episodes without success miss the same condition of '{ending}': in {episodes} of {of}, `{condition}` is true least
+    often, in {true} of {moments} moments{nearest}. {others}.
+
+    Try: {remedy}, or loosen the threshold. `deepbots diagnose RUN --episode failed` shows one of these episodes.
+    """
+    failed = t.failed or [trace for trace in t.policy if trace.outcome in ("failure", "time limit")]
+    found = common_miss(failed)
+    if found is None or not t.is_mature:
+        return None
+    leaf, unit = found.condition, t.facts.written_unit(found.condition.unit, *reversed(found.condition.sides))
+    near = ""
+    if found.nearest is not None and found.bound is not None:
+        value, bound = (quantity_text(each, leaf.unit, 3, written=unit) for each in (found.nearest, found.bound))
+        near = f"; the nearest value is {value} in the median, and the threshold {bound}"
+    terms = t.facts.terms_about(leaf.text)
+    aim = f"`{leaf.sides[0]}` {SIGN_OF_OPERATOR[leaf.operator]} the threshold" if leaf.bound else f"`{leaf.text}`"
+    remedy = f"Reward what brings {aim} where the other conditions hold"
+    if terms:
+        names = list_text([f"'{term}'" for term in terms])
+        remedy = f"Raise what {names} pays for {aim}"
+    said = [f"`{text}` is true in {count:,}" for text, count in found.others.items()]
+    return {
+        "likelihood": 0.69,
+        "ending": found.ending,
+        "condition": leaf.text,
+        "episodes": found.episodes,
+        "of": found.of,
+        "true": found.true,
+        "moments": found.moments,
+        "nearest": near,
+        "nearest_value": found.nearest,
+        "threshold": found.bound,
+        "unit": leaf.unit,
+        "others": list_text(said),
+        "terms": list(terms),
+        "remedy": remedy,
+    }

@@ -1,0 +1,173 @@
+"""What a scenario has already: advice never asks for it, and sentences use the units of its file.
+
+The causes of a training ask here before they advise a value of the observation, a term of the reward or a script.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import cached_property
+
+from deepbots_cli.analysis import Analysis
+from deepbots_cli.analysis.conditions import comparisons
+from deepbots_cli.analysis.returns import is_progress, total_range
+from deepbots_cli.document.nodes import Node, inline_text, node_at
+from deepbots_cli.expressions.dimensions import ONE, UNITS, Unit
+from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar
+from deepbots_cli.expressions.syntax import NUMBER
+from deepbots_cli.expressions.types import Known
+from deepbots_cli.insight.statements import quantity_text
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import ObservedNumber
+
+_WORD = r"(?:[A-Za-z]+|%)(?:\^-?\d)?"
+_UNIT = re.compile(rf"{NUMBER}\s*({_WORD}(?:[*/]{_WORD})*)")
+_COMPOUND = re.compile(rf"(?:{NUMBER})\s*\(({_WORD}(?:[*/]{_WORD})*)\)")
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:\.[A-Za-z_][A-Za-z0-9_]*)*")
+_DEFINITIONS = ("parameters", "signals", "augment")
+_MAX_TEXT = 10_000  # letters of an expression that are searched for a unit
+
+
+class ScenarioFacts:
+    """What a scenario has.
+
+    Args:
+        program: The scenario.
+        root: Its text, for the units of ranges; None where it cannot be read.
+    """
+
+    def __init__(self, program: Program, root: Node | None = None) -> None:
+        self.program = program
+        self._root = root
+
+    @cached_property
+    def _analysis(self) -> Analysis:
+        return Analysis(self.program)
+
+    # Observation
+
+    @property
+    def shows_previous_action(self) -> bool:
+        return any(entry.name == "previous_action" for entry in self.program.agent.observation)
+
+    @property
+    def history(self) -> int:
+        """The longest history of a value of the observation, in steps; 1 where the policy sees the newest values only."""
+        return max((entry.history for entry in self.program.agent.observation), default=1)
+
+    def is_measured(self, number: ObservedNumber) -> bool:
+        """Whether a number of the observation may differ in each step: no parameter, and no value made of parameters."""
+        entry = next(entry for entry in self.program.agent.observation if entry.name == number.name)
+        known = entry.value.typed.type.known
+        return entry.value.foreign is not None or known is Known.STEP or entry.noise is not None
+
+    def observes(self, name: str) -> bool:
+        """Whether the observation depends on a value, such as a drawn parameter; its effect in the world is left out."""
+        trees = [tree for entry in self.program.agent.observation for tree in entry.value.scalars]
+        return any(name in self._analysis.dependencies(tree) for tree in trees)
+
+    # Reward
+
+    @cached_property
+    def terms_towards_success(self) -> tuple[str, ...]:
+        """The terms that can pay in ordinary steps, and depend on what the success compares; progress first."""
+        reward = self._analysis.reward
+        running, (ordinary, _) = reward.ranges_while_running(), reward.split_by_end()
+        aims = {part for tree in self._success_trees for part in self._readings(tree)}
+        towards = [(term.name, node) for term, node in ordinary if running.of(node).high > 0.0 and aims.intersection(self._readings(node))]
+        return tuple(name for name, _ in sorted(towards, key=lambda each: not is_progress(self._analysis, each[1])))
+
+    def terms_about(self, comparison: str) -> tuple[str, ...]:
+        """The terms of ordinary steps that depend on what a comparison of the success compares, by its text."""
+        aims = {
+            part
+            for ending in self.program.successes
+            for found in comparisons(self._analysis, ending)
+            if found.value.text[found.node.start : found.node.end] == comparison
+            for side in found.node.args
+            for tree in self._analysis.lowered(side, found.value.owner)
+            for part in self._readings(tree)
+        }
+        ordinary, _ = self._analysis.reward.split_by_end()
+        return tuple(term.name for term, node in ordinary if aims.intersection(self._readings(node)))
+
+    def is_progress(self, term: str) -> bool:
+        """Whether a term pays for a change, as with `delta`."""
+        nodes = [node for each, node in self._analysis.reward.terms if each.name == term]
+        return any(is_progress(self._analysis, node) for node in nodes)
+
+    def price_of(self, failure: str) -> float | None:
+        """What terms that pay only at an end pay for a failure: negative for a cost, None where that is unknown."""
+        reward = self._analysis.reward
+        ending = next((ending for ending in self.program.endings if ending.name == failure), None)
+        _, final = reward.split_by_end()
+        if ending is None or not reward.is_complete:
+            return None
+        price = total_range(final, reward.ranges_at(ending))
+        return price.low if price.is_single else None
+
+    @cached_property
+    def _success_trees(self) -> list[Scalar]:
+        trees: list[Scalar] = []
+        for ending in self.program.successes:
+            for found in comparisons(self._analysis, ending):
+                trees += [tree for side in found.node.args for tree in self._analysis.lowered(side, found.value.owner)]
+            if ending.foreign is None and not trees:
+                trees += self._analysis.scalars(ending)
+        goal = self.program.agent.goal
+        return [*trees, *(goal.achieved.scalars if goal is not None else ())]
+
+    def _readings(self, tree: Scalar) -> Iterator[int]:
+        """The values of the world and of sensors that a value is computed from, as numbers of `Analysis.identity`."""
+        for node in self._analysis.walk_definitions(tree):
+            if isinstance(node, EngineRead) or (isinstance(node, Name) and self._analysis.sensor(node) is not None):
+                yield self._analysis.identity(node)
+
+    # Units
+
+    def range_text(self, number: ObservedNumber, value: float) -> str:
+        """A value of an observed number, given in SI units, in the unit of its range in the file."""
+        node = node_at(self._root, "observation", number.name) if self._root is not None else None
+        texts = [] if node is None else [inline_text(node)]
+        return quantity_text(value, number.unit, written=written_unit(number.unit, *texts))
+
+    def written_unit(self, unit: str, *texts: str) -> Unit | None:
+        """The unit of the file for a quantity in the SI unit `unit`, or None.
+
+        It is the first one in the texts that fits, then the first in the definitions of names in them.
+        """
+        names = [name for text in texts for name in _NAME.findall(text[:_MAX_TEXT])]
+        nodes = [node_at(self._root, section, name) for name in names for section in _DEFINITIONS] if self._root else []
+        return written_unit(unit, *texts, *(inline_text(node) for node in nodes if node is not None))
+
+
+def written_unit(unit: str, *texts: str) -> Unit | None:
+    """The first unit in the texts that measures the same as the SI unit `unit`, or None."""
+    units = (found for text in texts for found in _units_in(text))
+    return next((found for found in units if str(found.dimension) == unit), None)
+
+
+def _units_in(text: str) -> Iterator[Unit]:
+    """The units that follow a number in a text, in their order."""
+    text = text[:_MAX_TEXT]
+    matches = [*_UNIT.finditer(text), *_COMPOUND.finditer(text)]
+    for match in sorted(matches, key=lambda each: each.start()):
+        unit = _unit(match[1])
+        if unit is not None:
+            yield unit
+
+
+def _unit(text: str) -> Unit | None:
+    """`deg/s` as a unit; None where a word is none."""
+    whole, divides = ONE, False
+    for word in re.split(r"([*/])", text):
+        if word in ("*", "/"):
+            divides = word == "/"
+            continue
+        name, _, exponent = word.partition("^")
+        if name not in UNITS:
+            return None
+        power = UNITS[name] if not exponent else UNITS[name].to_power(int(exponent))._replace(text=word)
+        whole = whole.per(power) if divides else power if whole is ONE else whole.times(power)
+    return whole._replace(text=text)

@@ -1,0 +1,317 @@
+"""Causes that were false, or came second: each test is named after what a training was told."""
+
+from __future__ import annotations
+
+import shutil
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from deepbots_cli import api
+from deepbots_cli.cli import main
+from deepbots_cli.expressions.dimensions import UNITS
+from deepbots_cli.insight.conditions import instrument_program
+from deepbots_cli.insight.diagnosis import diagnose, has_learned
+from deepbots_cli.insight.linted import linted_scenario
+from deepbots_cli.insight.missed import common_miss
+from deepbots_cli.insight.report import Report
+from deepbots_cli.insight.scenario_facts import ScenarioFacts
+from deepbots_cli.insight.statements import Statement, quantity_text
+from deepbots_cli.insight.trace import Trace, TraceRecorder
+from deepbots_cli.insight.training import TrainingEvidence, read_training, run_probes
+from deepbots_cli.learning import train
+from deepbots_cli.learning.episodes import SolvedAt
+from deepbots_cli.learning.run import BestModel, Run
+from deepbots_cli.rollout import Episode
+from tests.insight.logs import SHUTTLE, evaluations_with, outcomes, returns_of, train_shuttle, with_logs
+
+FLAT = np.full(400, 60)
+HELD = (
+    "signals={there: abs(gap) < near}",
+    "scripts={by_hand: {drive: 4 * gap / m}}",
+    "termination.success={held: duration(there) > 0.5 s}",
+    "reward={closer: -10 * delta(abs(gap)) / m, time: -0.02, parked: 10 when there}",
+)
+"""Being at the mark pays in every step, and the success, which ends the episode, asks for staying there."""
+
+
+def _named(training: TrainingEvidence, cause: str) -> Statement:
+    (found,) = [each for each in diagnose(training) if each.cause == cause]
+    return found
+
+
+def _causes(training: TrainingEvidence) -> list[str]:
+    return [each.cause for each in diagnose(training)]
+
+
+def _played(run: Run, actions: list[float], mark: float) -> Trace:
+    """An episode of the carriage with these actions."""
+    watch = instrument_program(run.program, include_observation=True)
+    with closing(TraceRecorder(api.build(watch.program, engine="mujoco"), watch)) as world:
+        world.reset(seed=4, options={"mark": mark})
+        for action in actions:
+            if any(world.step(np.array([action], np.float32))[2:4]):
+                break
+        return world.trace("an episode")
+
+
+# The reward against the success
+
+
+def test_a_reward_that_cheats_is_named_first_with_the_term_that_pays(tmp_path):
+    """Returns of 268 against the 57.6 of the script, and a success rate of 9 %: nothing was said of it."""
+    training = read_training(Run.open(train_shuttle(tmp_path, *HELD)))
+    run_probes(training)
+    script = np.mean([trace.returns for trace in training.scripts["by_hand"]])
+    good = outcomes(400, 0.2, 0.09, 0.09)
+    curves = {"reward__parked": np.linspace(50, 5 * script, 20), "reward__closer": [2.0] * 20}
+    logged = with_logs(training.run.path, np.linspace(0, 5 * script, 400), FLAT, success=good, **curves)
+    cheating = replace(logged, scripts=training.scripts, policy=training.policy, random=training.random)
+    first = diagnose(cheating)[0]
+    assert (first.cause, first.evidence["term"], first.evidence["script"]) == ("reward_exploited", "parked", "by_hand")
+    assert "the script in 100% (68% to 100%) of 8 episodes" in first.text
+    assert "Let 'parked' pay once" in first.advice
+    poorer = with_logs(training.run.path, np.linspace(0, 0.5 * script, 400), FLAT, success=good, **curves)
+    assert "reward_exploited" not in _causes(replace(poorer, scripts=training.scripts))
+    succeeds = with_logs(training.run.path, np.full(400, 5 * script), FLAT, success=1.0, **curves)
+    assert "reward_exploited" not in _causes(replace(succeeds, scripts=training.scripts))
+
+
+def test_a_reward_that_disagrees_with_the_success_comes_before_the_noise_on_the_actions(carriage):
+    """88 % with and 41 % without exploration was said first."""
+    good = outcomes(400, 0.5, 0.7, 0.7)
+    done = evaluations_with(*[0.2] * 20)
+    training = with_logs(carriage, returns_of(good, 5) - 12 * good, FLAT, success=good, evaluations=done)
+    causes = _causes(training)
+    assert causes.index("reward_apart_from_success") < causes.index("success_needs_exploration")
+
+
+def test_previous_action_is_not_advised_to_a_scenario_that_has_it(carriage, tmp_path):
+    good = outcomes(400, 0.2, 0.9, 1.0, 1.0)
+    poor = [Episode(0.0, 60, k < 29, "max_steps") for k in range(100)]
+
+    def told(run: Path) -> str:
+        training = with_logs(run, returns_of(good, 0), FLAT, success=good, evaluations=evaluations_with(*[0.3] * 20))
+        return _named(replace(training, final_episodes=poor), "success_needs_exploration").advice
+
+    without = told(carriage)
+    assert "`previous_action: auto`" in without
+    assert "--timesteps 50_000`. The noise" in without  # the sentence had no end
+    assert "`previous_action" not in told(train_shuttle(tmp_path, "observation.previous_action=auto"))
+
+
+def test_a_term_for_progress_is_not_advised_to_a_scenario_that_has_one(carriage, tmp_path):
+    seldom = np.zeros(2706)
+    seldom[1200] = 1
+    lengths = np.full(2706, 60)
+    own = _named(with_logs(carriage, returns_of(seldom, 0), lengths, success=seldom), "success_never_seen")
+    assert "Add a reward term for progress" not in own.advice
+    assert "'closer', which leads towards success" in own.advice
+    sparse = train_shuttle(tmp_path, "reward={time: -0.02, parked: 5 when parked}")
+    none = _named(with_logs(sparse, returns_of(seldom, 0), lengths, success=seldom), "success_never_seen")
+    assert "Add a reward term for progress" in none.advice
+
+
+def test_noise_that_is_large_already_is_raised_and_not_lowered(tmp_path):
+    noisy = "train={algorithm: TD3, total_timesteps: 24000, action_noise: {type: normal, sigma: 0.5}}"
+    training = with_logs(train_shuttle(tmp_path, noisy), returns_of(np.zeros(400), 0), FLAT, train__std=[0.01] * 20)
+    assert _named(training, "exploration_collapsed").settings == {"train.action_noise.sigma": "1"}
+
+
+def test_the_kept_model_is_told_where_another_one_succeeds_more(carriage):
+    """A version before 0.2 chose it by its return."""
+    good = outcomes(400, 0.3, 0.3)
+    done = [*evaluations_with(0.9, returns=1.0), *evaluations_with(0.2, returns=9.0)]
+    done[1]["steps"] = 2000
+    training = with_logs(carriage, returns_of(good, 0), FLAT, success=good, evaluations=done)
+    record = training.run.record
+    best = BestModel(chosen_by="return", measure="mean_return", mean_return=9.0)
+    training.run.record = record.model_copy(update={"result": record.result.model_copy(update={"best": best})})
+    found = _named(training, "kept_by_return")
+    assert (found.evidence["kept_at"], found.evidence["best_at"]) == (2000, 1000)
+    assert "chosen by its return, 9 against 1" in found.text
+    same = [*evaluations_with(0.9, returns=1.0), *evaluations_with(0.85, returns=9.0)]
+    assert "kept_by_return" not in _causes(replace(training, all_evaluations=same))
+
+
+# Failing
+
+
+def test_a_drone_that_learned_to_flip_at_once_is_told_what_makes_failing_pay(tmp_path):
+    """It was told that success is rare, and to add a term for progress, which it has."""
+    hit = "termination.failure={hit: abs(shuttle.place) > 0.49 m}"
+    lengths = np.concatenate([np.full(60, 60.0), np.full(340, 20.0)]) + np.random.default_rng(3).normal(0, 1, 400)
+    returns = -0.5 * lengths + np.random.default_rng(4).normal(0, 6, 400)
+    run = train_shuttle(tmp_path, hit, "reward.effort=-0.5 * drive^2")
+    ending = np.array(["max_steps"] * 60 + ["hit"] * 340, object)
+    curves = {"reward__effort": [-28.0] + [-9.0] * 19, "reward__closer": [1.0] * 20, "reward__time": [-1.2] + [-0.4] * 19}
+    first = diagnose(with_logs(run, returns, lengths, ending=ending, **curves))[0]
+    assert first.cause == "ending_early_pays"
+    assert "'hit' ends 100% of them after 20 steps on average; the first episodes of the training lasted 60" in first.text
+    assert "'effort' went from -28 to -9 per episode and 'time' went from -1.2 to -0.4" in first.text
+    paid = {**curves, "reward__effort": [-9.0] * 20, "reward__closer": [-9.0] + [9.0] * 19}
+    training = with_logs(run, -returns, lengths, ending=ending, **paid)
+    assert "ending_early_pays" not in _causes(training)  # it drives there, which pays
+
+
+# The ceiling of the return
+
+
+def test_a_return_that_every_episode_reaches_is_not_told_to_explore_more(tmp_path):
+    """39.2 in all of 100 episodes, where `solved` asks for 60 and the speed of the wheels allows 40."""
+    sets = ["termination={}", "reward={far: 10 * delta(shuttle.place) / m}", "solved=mean_return >= 60 over 100 episodes"]
+    run = train_shuttle(tmp_path, *sets)
+    grown = 39.2 - 30 * np.exp(-np.arange(400) / 20) + np.random.default_rng(2).normal(0, 0.02, 400)
+    ending = {"ending": "max_steps", "train__std": [0.5] + [0.01] * 19}
+    first = diagnose(with_logs(run, grown, FLAT, **ending))[0]
+    assert first.cause == "return_at_ceiling"
+    assert "`solved` asks for 60" in first.text
+    assert "mean_return >= 38" in first.advice
+    assert "exploration_collapsed" not in _causes(with_logs(run, grown, FLAT, **ending))
+    stuck = with_logs(run, np.where(np.arange(400) == 9, 50.0, grown), FLAT, **ending)
+    assert "exploration_collapsed" in _causes(stuck)  # an episode returned more
+
+
+# Teachers and conditions
+
+
+def test_a_teacher_that_fails_itself_is_named_when_its_pupil_does_as_well(tmp_path):
+    """55 % of its own, and 51 % of the pupil."""
+    halves = "scripts={by_hand: {drive: 4 * gap / m if mark > 0 m else 0}}"
+    run = train_shuttle(tmp_path, halves, "train.teacher=by_hand")
+    good = outcomes(400, 0.3, 0.51, 0.51)
+    done = [*evaluations_with(0.5, 0.5, 0.5)]
+    curves = {"teacher__success_rate": [0.55]}
+    pupil = with_logs(run, returns_of(good, 0), FLAT, success=good, evaluations=done, **curves)
+    found = _named(pupil, "teacher_fails")
+    assert "'by_hand' succeeds in 55% (34% to 74%) of 20 episodes" in found.text
+    assert found.command == f"deepbots try {SHUTTLE} --driver by_hand --episodes 20"
+    able = with_logs(run, returns_of(good, 0), FLAT, success=good, evaluations=done, teacher__success_rate=[1.0])
+    assert "teacher_fails" not in _causes(able)
+    poor = [Episode(0.0, 60, k < 10, "max_steps") for k in range(100)]
+    assert "teacher_fails" not in _causes(replace(pupil, final_episodes=poor))
+
+
+SLOW = "termination.success={parked: abs(gap) < near and abs(joint_velocity(shuttle.slide)) < 2 mm/s and step > 5}"
+
+
+def test_the_condition_that_all_failed_episodes_miss_is_in_the_verdict_over_the_run(tmp_path):
+    """`speed < 0.2 m/s` in 1 of 84 moments was only in `diagnose --episode failed`, and the run was told to train on."""
+    run = Run.open(train_shuttle(tmp_path, SLOW))
+    drives = [0.8] * 12 + [1, -1] * 24  # to the mark, and never slow there
+    failed = [_played(run, drives, mark) for mark in (0.2, 0.21, 0.22, 0.23)]
+    assert {trace.outcome for trace in failed} == {"time limit"}
+    missed = common_miss(failed)
+    assert missed is not None
+    assert (missed.condition.text, missed.episodes, missed.of) == ("abs(joint_velocity(shuttle.slide)) < 2 mm/s", 4, 4)
+    good = outcomes(400, 0.5, 0.5)
+    training = with_logs(run.path, returns_of(good, 0), FLAT, success=good)
+    found = _named(replace(training, failed=failed), "missed_condition")
+    assert f"in {missed.true} of {missed.moments} moments; the nearest value is" in found.text
+    assert "and the threshold 2 mm/s" in found.text
+    assert found.advice.startswith("Reward what brings")
+    assert "`abs(gap) < near` is true in" in found.text
+
+
+# Lint as a cause
+
+
+def test_lint_as_a_cause_says_that_falling_early_pays_and_names_the_file_of_the_user(tmp_path, monkeypatch):
+    """It read "Lint reports 1 warning", and its command named the copy in the run, which a student then edited."""
+    monkeypatch.chdir(tmp_path)
+    text = api.compile("cartpole", overrides=["reward.alive=-1"]).resolved
+    own = tmp_path / "mine.yaml"
+    own.write_text(text.replace("inputs/robots", str(Path(api.compile("cartpole").source).parents[1] / "robots")))
+    monkeypatch.chdir(tmp_path)
+    run = train(api.compile("mine.yaml"), total_timesteps=64, seed=2, run=Path("run")).run
+    noise = np.random.default_rng(0).normal(0, 3, 200)
+    lint = _named(with_logs(run, -30 + noise, 30 - noise), "lint_warns")
+    assert lint.text.startswith("Failing early pays: continuing an episode costs at least ")
+    assert "Lint reports" not in lint.text
+    assert lint.command == f"deepbots lint {own}"
+    assert main(lint.command.split()[1:]) == 0
+    own.write_text(own.read_text() + "# changed\n")
+    copy = _named(with_logs(run, -30 + noise, 30 - noise), "lint_warns")
+    assert copy.command == "deepbots lint run/inputs/mine.yaml"
+    assert f"It is the copy that the training read: {own} was changed since then." in copy.advice
+
+
+def test_a_folder_is_allowed_only_where_the_copy_reads_beyond_its_own(short, tmp_path):
+    """`--allow-path climb1/inputs` was advised where it was not needed."""
+    run = Run.open(short)
+    assert linted_scenario(run).arguments == "cartpole"
+    moved = replace(run, record=run.record.model_copy(update={"source": "gone.yaml"}))
+    arguments = linted_scenario(moved).arguments
+    assert arguments == f"{short}/inputs/scenarios/cartpole.yaml --allow-path {short}/inputs"  # it names ../robots
+    own = Run.open(train(SHUTTLE, total_timesteps=64, run=tmp_path / "run").run)
+    gone = replace(own, record=own.record.model_copy(update={"source": "gone.yaml"}))
+    assert linted_scenario(gone).arguments == f"{tmp_path}/run/inputs/shuttle.yaml"
+
+
+def test_a_report_has_the_causes_of_an_unsolved_training(carriage, tmp_path):
+    run = Path(shutil.copytree(carriage, tmp_path / "run"))
+    assert main(["eval", str(run), "--episodes", "9"]) == 0
+    report = Report.read(run)
+    report.find_causes()
+    assert "too_few_steps" in [each.cause for each in report.causes]
+    page = report.html()
+    assert "Why it is not solved" in page
+    assert report.causes[0].text.split(".")[0] in page
+
+
+def test_the_line_of_a_finding_in_a_report_is_that_of_the_listing_below(tmp_path):
+    warned = train_shuttle(tmp_path, "reward.time=-2", "termination.failure={hit: abs(shuttle.place) > 0.49 m}")
+    assert main(["eval", str(warned), "--episodes", "9"]) == 0
+    page = Report.read(warned).html()
+    linted = linted_scenario(Run.open(warned))
+    assert linted.findings
+    for finding in linted.findings:
+        if finding.span.source is linted.text:
+            line = finding.span.start_position.line
+            shown = finding.span.source.line(line).replace("'", "&#39;").replace(">", "&gt;").replace("<", "&lt;")
+            assert f'<span class="marked"><b>{line}</b>{shown}</span>' in page
+
+
+# The observation
+
+
+def test_a_parameter_in_the_observation_is_no_sensor_that_detects_nothing(tmp_path):
+    """`vx` always 0.5 m/s."""
+    training = read_training(Run.open(train_shuttle(tmp_path, "augment.wish=speed", "observation.wish=0 .. 1 m/s")))
+    run_probes(training)
+    assert {float(trace.observations[0, -1]) for trace in training.random} == {0.0}  # 0.5 m/s is the middle of the range
+    assert "sensor_without_reading" not in _causes(training)
+
+
+def test_a_value_is_shown_in_the_unit_of_the_file(tmp_path):
+    compiled = api.compile("cartpole", overrides=["observation.x=-40 .. 40 cm", "parameters.fall_angle=0.2 rad"])
+    facts = ScenarioFacts(compiled.program, compiled.document.root)
+    numbers = {number.full_name: number for number in compiled.program.agent.numbers}
+    assert facts.range_text(numbers["x"], 0.25) == "25 cm"
+    assert facts.range_text(numbers["cart.pole_angle"], np.pi / 6) == "30 deg"
+    assert facts.written_unit("rad", "abs(cart.pole_angle)", "fall_angle") == UNITS["rad"]
+    assert facts.written_unit("m/s", "3 mm/s").text == "mm/s"
+    assert quantity_text(0.003, "m/s", written=facts.written_unit("m/s", "3 mm/s")) == "3 mm/s"
+    assert facts.written_unit("m", "no unit") is None
+
+
+# One verdict
+
+
+def test_a_confirmed_training_whose_episodes_are_random_is_told_its_exploration(tmp_path):
+    """A confirmation does not explore, and it was taken for episodes of the training."""
+    run = train_shuttle(tmp_path, "solved=success_rate >= 90 % over 100 episodes")
+    training = with_logs(run, returns_of(np.zeros(400), 0), FLAT, evaluations=evaluations_with(1.0, 1.0))
+    record = training.run.record
+    at = SolvedAt(episode=9, steps=9, simulated_hours=1.0, cpu_seconds=1.0, mean_return=4.0, success_rate=1.0)
+    confirmed = record.result.model_copy(update={"solved_at": at, "confirmations": 1})
+    training.run.record = record.model_copy(update={"result": confirmed})
+    assert has_learned(training) == "evaluated"
+    before = confirmed.model_copy(update={"confirmations": 0})
+    training.run.record = record.model_copy(update={"result": before})
+    assert has_learned(training) == "exploring"
