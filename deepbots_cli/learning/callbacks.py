@@ -414,6 +414,7 @@ class TrainingCallback:
             evaluations=self._evaluations,
             evaluated=self._evaluated,
             activity=self._activity,
+            is_ending=self._is_ending,
         )
 
     def _report(self) -> None:
@@ -432,7 +433,12 @@ class TrainingCallback:
         if self.interruption.requested and not self._stop_noted:
             self._stop_noted = True
             self.reporter.note(f"stopping after this rollout; continue with: deepbots train --resume {quote(str(self.run.path))}")
-        return not (self._until_solved and self.confirmed is not None) and self.stopped_by is None
+        return not self._is_ending
+
+    @property
+    def _is_ending(self) -> bool:
+        """Whether the training ends before its last step, because the task is solved or somebody said so."""
+        return (self._until_solved and self.confirmed is not None) or self.stopped_by is not None
 
     def _evaluation_share(self) -> float:
         """What evaluations may take now of the steps of the training."""

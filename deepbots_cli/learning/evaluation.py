@@ -411,11 +411,22 @@ class _Setting:
             model = load_model(self.run, policy.model, worlds[0])
             return play_episodes(model, worlds, seeds, deterministic=policy.deterministic, on_episode=on_episode, until=until)
 
+    @property
+    def _has_confirmed_starts(self) -> bool:
+        """Whether these are the starts, scenario and engine of the confirmation that ended the training."""
+        is_own = self.judged is None and self.case is None and self.stage is None
+        result = self.run.record.result
+        is_same_seed = result is not None and result.confirmed_seed == self.seed
+        return is_own and is_same_seed and self.engine == self.run.record.engine
+
     def result(
         self, model: str, done: Sequence[Episode], *, deterministic: bool = True, confirmation: int | None = None
     ) -> EvaluationResult:
         """The result of these episodes; `confirmation` is the number of the confirmation that they are."""
         run, program, engine, solved = self.run, self.program, self.engine, self.program.agent.solved
+        if confirmation is None and model == "best" and deterministic and self._has_confirmed_starts:
+            assert run.record.result is not None
+            confirmation = run.record.result.confirmations
         low, high = possible_returns(program) if engine else UNBOUNDED  # a world of the caller may pay anything
         file = self.run.model(model)
         found = Summary.of_episodes(done, (low, high), ALPHA if confirmation is None else error_level(confirmation))

@@ -55,6 +55,7 @@ class TrainingProgress:
     success. `solved` is the criterion of the scenario, `best` the best model by the measure of the task, `evaluated` that of the last
     evaluation, `stage` the stage of the curriculum with its criterion, for people to read. `period` is the time of a step in s,
     `evaluations` their number in this process, and `activity` what the training does beside learning, such as a confirmation.
+    With `is_ending`, no further steps follow.
     """
 
     steps: int
@@ -70,6 +71,7 @@ class TrainingProgress:
     evaluations: int = 0
     evaluated: Candidate | None = None
     activity: str = ""
+    is_ending: bool = False
 
 
 class Reporter:
@@ -311,7 +313,7 @@ def progress_values(progress: TrainingProgress, speed: float) -> dict[str, str]:
     rows["episodes"] = f"{progress.episodes:,}"
     if speed >= 1.0:
         rows["speed"] = f"{speed:,.0f} steps/s"
-    if speed > 0.0 and progress.steps < progress.total_steps:
+    if speed > 0.0 and progress.steps < progress.total_steps and not progress.is_ending:
         most = "at most " if progress.solved else ""
         rows["remaining"] = f"{most}{duration((progress.total_steps - progress.steps) / speed)} to go"
     return rows
