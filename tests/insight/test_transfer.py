@@ -48,7 +48,56 @@ def cart(change: str) -> str:
     return f"robots: {{cart: {{{change}}}}}"
 
 
+def bot(change: str) -> str:
+    return f"robots: {{bot: {{{change}}}}}"
+
+
+def rover(change: str) -> str:
+    return f"robots: {{rover: {{{change}}}}}"
+
+
 ERRORS = {
+    "late sensor of a cart": (
+        "cartpole",
+        cart("sensors: {pole_angle: {latency: 64 ms}}"),
+        r"pole_angle is 2 steps late|latency of the sensor cart.pole_angle \+64 ms",
+    ),
+    "bias of a sensor": ("cartpole", cart("emit: {pole_angle: pole_angle + 2 deg}"), "cart.pole_angle is larger by 0.0349 rad"),
+    "lag of a motor": (
+        "cartpole",
+        cart("actuators: {wheels: {time_constant: 64 ms}}"),
+        r"time constant of cart.wheels \+64 ms",
+    ),
+    "heavy pole": ("cartpole", cart("links: {pole: {mass: 2 * urdf}}"), "mass of cart.pole x 2"),
+    "halved gain of a choice": ("cartpole", cart("apply: {wheels: 0.5 * drive * wheel_speed}"), r"command of cart.wheels x 0.5"),
+    "bias of a gyro": ("balancer", bot("emit: {rate: gyro.y + 0.3 rad/s}"), "bot.rate is larger by 0.3 rad/s"),
+    "lag of motors": ("balancer", bot("actuators: {wheels: {time_constant: 20 ms}}"), r"time constant of bot.wheels \+20 ms"),
+    "halved gain of an action": ("balancer", bot("apply: {wheels: 0.5 * push * top_torque}"), r"the action push x 0.5"),
+    "late ground sensor": (
+        "line_follower",
+        rover("sensors: {ground: {latency: 64 ms}}"),
+        r"are 2 steps late|latency of the sensor rover.ground \+64 ms",
+    ),
+    "bias of a ground sensor": ("line_follower", rover("emit: {ground: ground - 0.1}"), "rover.ground.left is larger by -0.1; "),
+    "sign of a side": (
+        "line_follower",
+        rover("emit: {side: 'hold(ground.left - ground.right, abs(ground.right - ground.left) > 0.3)'}"),
+        "rover.side has the other sign",
+    ),
+    "lag of both wheels": (
+        "line_follower",
+        rover("actuators: {left_wheel: {time_constant: 64 ms}, right_wheel: {time_constant: 64 ms}}"),
+        r"time constant of all motors \+64 ms",
+    ),
+    "heavy rover": ("line_follower", rover("links: {base_link: {mass: 2 * urdf}}"), "mass of rover.base_link x 2"),
+    "halved gain of turns": (
+        "line_follower",
+        rover(
+            "apply: {left_wheel: 'clamp(gas - 0.5 * turn, -1 .. 1) * top_speed', "
+            "right_wheel: 'clamp(gas + 0.5 * turn, -1 .. 1) * top_speed'}"
+        ),
+        "the action turn x 0.5",
+    ),
     "sign of a sensor": ("cartpole", cart("emit: {pole_angle: -1 * pole_angle}"), "cart.pole_angle has the other sign"),
     "unit of a sensor": ("cartpole", cart("emit: {pole_angle: 57.29578 * pole_angle}"), "cart.pole_angle is in degrees"),
     "late messages from the robot": ("cartpole", "messages: {from_robot: {latency: 64 ms}}", "pole_angle is 2 steps late"),
@@ -95,7 +144,7 @@ ERRORS = {
         "the action turn has the other sign",
     ),
 }
-"""Twenty errors of a world: the scenario, its change, and what must be named first."""
+"""Errors of a world: the scenario, its change, and what must be named first."""
 
 
 @pytest.mark.parametrize("error", few(list(ERRORS), ["sign of a sensor", "friction"]))
