@@ -11,7 +11,7 @@ differences have grown; only the kinds that explain most are simulated with all 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from itertools import combinations, islice
@@ -41,7 +41,6 @@ from deepbots_cli.learning.robustness import (
     friction,
     listed,
     masses,
-    nested,
     plans,
     written,
 )
@@ -474,30 +473,51 @@ def _latencies(root: MappingNode, program: Program) -> Iterator[Plan]:
     """A larger latency of each sensor."""
     for robot in program.robots:
         for sensor in entries_at(root, "robots", robot.name, "sensors"):
-            yield _later(root, program, f"latency of the sensor {robot.name}.{sensor}", (robot.name, "sensors", sensor, "latency"))
+            path = ("robots", robot.name, "sensors", sensor, "latency")
+            yield _later(root, program, f"latency of the sensor {robot.name}.{sensor}", [path])
 
 
 def _commands(root: MappingNode, program: Program) -> Iterator[Plan]:
-    """Another gain of the command of each actuator, and a larger time constant."""
-    for robot in program.robots:
-        for name in entries_at(root, "robots", robot.name, "actuators"):
-            if command := written(root, "robots", robot.name, "apply", name):
-                sides = {
-                    side: [
-                        (f"x {factor:g}", {"robots": {robot.name: {"apply": {name: f"{factor:g} * ({command})"}}}}) for factor in factors
-                    ]
-                    for side, factors in _GAINS.items()
-                }
-                yield Plan(f"command of {robot.name}.{name}", sides)
-            path = (robot.name, "actuators", name, "time_constant")
-            yield _later(root, program, f"time constant of {robot.name}.{name}", path)
+    """Another gain of the command of each actuator, and a larger time constant; also of all together."""
+    places = [(robot.name, name) for robot in program.robots for name in entries_at(root, "robots", robot.name, "actuators")]
+    chosen = {f"{robot}.{name}": [(robot, name)] for robot, name in places[:_MAX_MOTORS]}
+    if len(places) > 1:
+        chosen["all actuators"] = places
+    for words, actuators in chosen.items():
+        written_commands = {("robots", robot, "apply", name): written(root, "robots", robot, "apply", name) for robot, name in actuators}
+        commands = {path: command for path, command in written_commands.items() if command}
+        if commands:
+            sides = {
+                side: [
+                    (f"x {factor:g}", _together({path: f"{factor:g} * ({command})" for path, command in commands.items()}))
+                    for factor in factors
+                ]
+                for side, factors in _GAINS.items()
+            }
+            yield Plan(f"command of {words}", sides)
+        paths = [("robots", robot, "actuators", name, "time_constant") for robot, name in actuators]
+        yield _later(root, program, f"time constant of {words}", paths)
 
 
-def _later(root: MappingNode, program: Program, name: str, path: tuple[str, ...]) -> Plan:
-    """A time of a robot that is longer by 1, 2 and 4 timesteps."""
-    own = written(root, "robots", *path)
-    delays = [f"{1000 * program.world.timestep * count:g} ms" for count in (1, 2, 4)]
-    return Plan.one_way(name, [(f"+{delay}", nested(("robots", *path), delay + (f" + {own}" if own else ""))) for delay in delays])
+def _later(root: MappingNode, program: Program, name: str, paths: Sequence[tuple[str, ...]]) -> Plan:
+    """Times that are longer by 1, 2 and 4 timesteps."""
+    owns = {path: written(root, *path) for path in paths}
+    levels = []
+    for count in (1, 2, 4):
+        delay = f"{1000 * program.world.timestep * count:g} ms"
+        levels.append((f"+{delay}", _together({path: delay + (f" + {own}" if own else "") for path, own in owns.items()})))
+    return Plan.one_way(name, levels)
+
+
+def _together(values: Mapping[tuple[str, ...], str]) -> Change:
+    """A change of the values at several paths."""
+    change: Change = {}
+    for path, value in values.items():
+        section = change
+        for key in path[:-1]:
+            section = section.setdefault(key, {})
+        section[path[-1]] = value
+    return change
 
 
 def _actions(program: Program) -> Iterator[list[tuple[str, Act]]]:

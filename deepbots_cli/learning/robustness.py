@@ -495,7 +495,7 @@ def _movable(root: MappingNode, program: Program) -> tuple[dict[str, float], lis
 def _mass_plan(root: MappingNode, name: str) -> Plan:
     path = ("objects", name) if name in entries_at(root, "objects") else ("robots", name.partition(".")[0], "links", name.partition(".")[2])
     own = written(root, *path, "mass") or "urdf"
-    return Plan.of_factors(f"mass of {name}", lambda factor: nested(path, {"mass": f"{factor:g} * ({own})"}))
+    return Plan.of_factors(f"mass of {name}", lambda factor: _nested(path, {"mass": f"{factor:g} * ({own})"}))
 
 
 def _mass(root: MappingNode, program: Program, name: str | None) -> str | None:
@@ -519,9 +519,9 @@ def _mass(root: MappingNode, program: Program, name: str | None) -> str | None:
     return name or max(links, key=lambda link: links[link], default=None)
 
 
-def nested(path: Sequence[str], value: Change | str) -> Change:
+def _nested(path: Sequence[str], value: Change | str) -> Change:
     """A change of the value at a path of keys."""
-    return {path[0]: nested(path[1:], value) if len(path) > 1 else value}
+    return {path[0]: _nested(path[1:], value) if len(path) > 1 else value}
 
 
 def _strengths(root: MappingNode, factor: float) -> Change:

@@ -87,7 +87,7 @@ ERRORS = {
     "lag of both wheels": (
         "line_follower",
         rover("actuators: {left_wheel: {time_constant: 64 ms}, right_wheel: {time_constant: 64 ms}}"),
-        r"time constant of all motors \+64 ms",
+        r"time constant of all actuators \+64 ms",
     ),
     "heavy rover": ("line_follower", rover("links: {base_link: {mass: 2 * urdf}}"), "mass of rover.base_link x 2"),
     "halved gain of turns": (
