@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, islice
 from math import inf
 from pathlib import Path
@@ -75,6 +75,8 @@ MIN_EPISODES = 10
 """Episodes of an evaluation that a number of steps does not leave out."""
 _MAX_LINKS = 12
 """The largest number of links whose mass is changed."""
+_REWARD = "reward."
+"""How the name of a reward term begins."""
 _MAX_MOTORS = 12
 """The largest number of motors whose order is tried."""
 _UNITS = {
@@ -87,13 +89,15 @@ _UNITS = {
 }
 
 Array = NDArray[np.float64]
+Act = Callable[[Any], Any]
+"""Changes an action."""
 
 
 class Difference(NamedTuple):
     """A number of the observation, or a reward term, that differs.
 
     Attributes:
-        name: Its name; a reward term begins with `reward.`.
+        name: Its name; that of a reward term begins with `reward.`.
         unit: Its unit; empty for a number without one.
         episode: The episode in which it differs first.
         step: The first step of this episode in which it differs; 0 is the reset.
@@ -120,12 +124,19 @@ class Cause(NamedTuple):
 
 @dataclass(frozen=True)
 class WorldComparison:
-    """`differences` in the order in which they begin, and `causes` from the one that explains most."""
+    """`differences` in the order in which they begin, and `causes` from the one that explains most.
+
+    A cause explains numbers of the observation, so there is none if only reward terms differ.
+    """
 
     episodes: int
     steps: int
     differences: tuple[Difference, ...]
     causes: tuple[Cause, ...]
+
+    @property
+    def observation_differs(self) -> bool:
+        return any(not each.name.startswith(_REWARD) for each in self.differences)
 
 
 class World(NamedTuple):
@@ -173,22 +184,27 @@ def compare_worlds(
     columns = _columns(instrument_program(here.program, include_observation=True))
     recorded = _recorded(run, here, model, seed, episodes, permissions)
     comparison = _Comparison(columns, recorded, _repeated(there, recorded, permissions))
-    differences = comparison.differences()
-    causes: list[Cause] = []
-    if differences:
-        causes += comparison.measured_causes()
-        kinds = [*_changes(here, document)]
-        probe, scores = comparison.part(_PROBED_EPISODES, _PROBED_STEPS), []
-        for number, kind in enumerate(kinds):
-            scores.append(max((cause.explained for cause in probe.tried(kind[(len(kind) - 1) // 2], permissions)), default=-inf))
-            on_world(number + 1, len(kinds))
-        best = sorted((number for number, score in enumerate(scores) if score > 0.0), key=lambda number: -scores[number])[:_REFINED]
-        changes = [change for number in sorted(best) for change in kinds[number]]
-        for number, change in enumerate(changes):
-            causes += comparison.tried(change, permissions)
-            on_world(number + 1, len(changes))
+    result = WorldComparison(len(recorded), max(len(each.actions) for each in recorded), tuple(comparison.differences()), ())
+    if not result.observation_differs:
+        return result
+    causes = [*comparison.measured_causes()]
+    with closing(_Recorder(here, permissions)) as unchanged:
+        causes += _simulated_causes(comparison, [*_changes(here, unchanged, document, permissions)], on_world)
     likely = sorted((cause for cause in causes if cause.explained >= _LEAST_EXPLAINED), key=lambda cause: -cause.explained)  # stable
-    return WorldComparison(len(recorded), max(len(each.actions) for each in recorded), tuple(differences), tuple(likely))
+    return replace(result, causes=tuple(likely))
+
+
+def _simulated_causes(comparison: _Comparison, kinds: Sequence[list[_Change]], on_world: Callable[[int, int], object]) -> Iterator[Cause]:
+    """Changes of the kinds that explain most of a few short episodes."""
+    probe, scores = comparison.part(_PROBED_EPISODES, _PROBED_STEPS), []
+    for number, kind in enumerate(kinds):
+        scores.append(max((cause.explained for cause in probe.tried(kind[(len(kind) - 1) // 2])), default=-inf))
+        on_world(number + 1, len(kinds))
+    best = sorted((number for number, score in enumerate(scores) if score > 0.0), key=lambda number: -scores[number])[:_REFINED]
+    changes = [change for number in sorted(best) for change in kinds[number]]
+    for number, change in enumerate(changes):
+        yield from comparison.tried(change)
+        on_world(number + 1, len(changes))
 
 
 class _Column(NamedTuple):
@@ -200,7 +216,7 @@ def _columns(watch: InstrumentedProgram) -> list[_Column]:
     kept = _kept(watch)
     return [
         *(_Column(each.full_name, each.unit.removeprefix("1")) for each in watch.program.agent.numbers if each.name in kept),
-        *(_Column(f"reward.{term.name}", "") for term in watch.program.agent.reward),
+        *(_Column(f"{_REWARD}{term.name}", "") for term in watch.program.agent.reward),
     ]
 
 
@@ -263,19 +279,22 @@ def _recorded(run: Run, here: World, model: ModelName, seed: int, episodes: int,
     return found
 
 
-def _repeated(
-    world: World, recorded: Sequence[_Recorded], permissions: Permissions, act: Callable[[Any], Any] = lambda action: action
-) -> list[Array]:
-    """The values of each episode with its start and actions in a world; `act` changes the actions."""
-    found = []
+def _repeated(world: World, recorded: Sequence[_Recorded], permissions: Permissions) -> list[Array]:
+    """The values of each episode with its start and actions in a world."""
     with closing(_Recorder(world, permissions)) as made:
-        for episode in recorded:
-            driver = sequence_driver([act(action) for action in episode.actions])
-            with suppress(EvaluationError):  # an ending is true at the reset
-                for _ in islice(steps(made, driver, episode.start), len(episode.actions) + 1):
-                    pass
-            found.append(made.values)
-    return found
+        return _repeated_in(made, recorded)
+
+
+def _repeated_in(made: _Recorder, recorded: Sequence[_Recorded], act: Act = lambda action: action) -> list[Array]:
+    """The same in a world that exists; `act` changes the actions."""
+    values = []
+    for episode in recorded:
+        driver = sequence_driver([act(action) for action in episode.actions])
+        with suppress(EvaluationError):  # an ending is true at the reset
+            for _ in islice(steps(made, driver, episode.start), len(episode.actions) + 1):
+                pass
+        values.append(made.values)
+    return values
 
 
 class _Comparison:
@@ -291,7 +310,7 @@ class _Comparison:
         self._here = [episode.values for episode in recorded]
         self._there = [*found]
         self._width = np.maximum(np.ptp(np.vstack(self._here), axis=0), 1e-9) if width is None else width
-        self._numbers = [place for place, column in enumerate(columns) if not column.name.startswith("reward.")]
+        self._numbers = [place for place, column in enumerate(columns) if not column.name.startswith(_REWARD)]
         self._base = self._errors(self._here)
         self._early = [self._small_until(*pair) for pair in zip(self._here, self._there, strict=True)]
 
@@ -342,10 +361,10 @@ class _Comparison:
         """The values of each episode in both worlds, and the moments before the differences have grown."""
         yield from zip(self._here, self._there, self._early, strict=True)
 
-    def tried(self, change: _Change, permissions: Permissions) -> list[Cause]:
+    def tried(self, change: _Change) -> list[Cause]:
         """How much a change explains; nothing if it is none of this scenario."""
         try:
-            return [Cause(change.text, self.explained(change.simulate(self._recorded, permissions)))]
+            return [Cause(change.text, self.explained(change.simulate(self._recorded)))]
         except DeepbotsError:
             return []
 
@@ -421,9 +440,7 @@ class _Comparison:
 
 # Changes of the first world
 
-Simulation = Callable[[Sequence[_Recorded], Permissions], list[Array]]
-Act = Callable[[Any], Any]
-"""A changed action."""
+Simulation = Callable[[Sequence[_Recorded]], list[Array]]
 
 
 class _Change(NamedTuple):
@@ -433,17 +450,14 @@ class _Change(NamedTuple):
     simulate: Simulation
 
 
-def _changes(here: World, document: Document) -> Iterator[list[_Change]]:
-    """What may be different in a world: kinds of changes, each by the amount of the change."""
+def _changes(here: World, unchanged: _Recorder, document: Document, permissions: Permissions) -> Iterator[list[_Change]]:
+    """What may be different in a world: kinds of changes, each by the amount of the change. `unchanged` is `here`, for other actions."""
 
     def of(change: Change) -> Simulation:
-        def simulated(recorded: Sequence[_Recorded], permissions: Permissions) -> list[Array]:
-            return _repeated(World(changed_scenario(document, change).program, here.engine), recorded, permissions)
-
-        return simulated
+        return lambda recorded: _repeated(World(changed_scenario(document, change).program, here.engine), recorded, permissions)
 
     def with_actions(act: Act) -> Simulation:
-        return lambda recorded, permissions: _repeated(here, recorded, permissions, act)
+        return lambda recorded: _repeated_in(unchanged, recorded, act)
 
     for kind in _actions(here.program):
         yield [_Change(text, with_actions(act)) for text, act in kind]

@@ -28,7 +28,7 @@ from deepbots_cli.rollout.source import Source, SourceKind
 if TYPE_CHECKING:
     from deepbots_cli.insight.transfer import Transfer
 
-DEFAULT_EPISODES, QUICK_STEPS = 50, 10_000
+DEFAULT_EPISODES, QUICK_STEPS = 50, 3_000
 """Episodes of each evaluation, and the steps after which those of `--quick` end."""
 
 
@@ -211,6 +211,8 @@ def _lines(found: Transfer) -> list[str]:
         lines.append(table([{"change": cause.text, "explains": percent(cause.explained)} for cause in compared.causes[:5]]))
         lines.append("explains: share of the squared differences that vanishes with this change alone; the changes are alternatives, whose")
         lines.append("shares do not add up")
+    elif compared.differences and not compared.observation_differs:
+        lines.append("\nno number of the observation differs, so no cause can be found")
     elif compared.differences:
         lines.append("\nno change that was tried explains it: order, sign, unit and age of numbers, order, sign and gain of actions,")
         lines.append("latencies, time constants, weaker motors, and one mass (with its inertia) or friction at a time, x 0.5 to 2")
