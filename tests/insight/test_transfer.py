@@ -12,7 +12,7 @@ import yaml
 
 from deepbots_cli import api
 from deepbots_cli.cli import main
-from deepbots_cli.insight.transfer import Gate, World, WorldComparison, _works, compare_worlds
+from deepbots_cli.insight.transfer import Gate, World, WorldComparison, _works, compare_worlds, transfer
 from deepbots_cli.learning import train
 from deepbots_cli.learning.robustness import base_document, changed_scenario
 from deepbots_cli.learning.run import Run
@@ -147,7 +147,7 @@ ERRORS = {
 """Errors of a world: the scenario, its change, and what must be named first."""
 
 
-@pytest.mark.parametrize("error", few(list(ERRORS), ["sign of a sensor", "friction"]))
+@pytest.mark.parametrize("error", few(list(ERRORS), ["sign of a sensor", "friction", "halved gain of an action"]))
 def test_an_error_is_named_first(run_of: Any, error: str) -> None:
     name, change, expected = ERRORS[error]
     found = compared(run_of(name), yaml.safe_load(change))
@@ -182,6 +182,23 @@ def test_the_command_compares_engines_and_is_a_gate(run_of: Any, capsys: pytest.
     assert "the changes are alternatives" in shown
     assert main(["transfer", path, "--quick", "--engine", "pybullet"]) == 2
     assert "was trained in pybullet; name the other engine" in capsys.readouterr().err
+
+
+def test_a_value_of_the_other_world_can_be_set_and_a_piped_output_holds_no_progress(
+    run_of: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = str(run_of("cartpole").path)
+    assert main(["transfer", path, "--set", "world.ground.friction=0.5", "--quick", "--episodes", "2"]) == 0
+    shown = capsys.readouterr()
+    assert "from CartPole to CartPole, changed (pybullet) (--set world.ground.friction=0.5)" in shown.out
+    assert "friction of the ground x 0.5" in shown.out
+    assert shown.err == ""
+
+
+def test_a_quick_transfer_ends_long_evaluations_after_ten_episodes(run_of: Any) -> None:
+    found = transfer(run_of("cartpole"), engine="pybullet", max_steps=1, with_conditions=False)
+    assert (found.here.episodes, found.there.episodes) == (10, 10)
+    assert [episode.seed for episode in found.here.outcomes] == [episode.seed for episode in found.there.outcomes]
 
 
 def test_whether_a_policy_works_follows_from_the_requirements_or_from_solved() -> None:
