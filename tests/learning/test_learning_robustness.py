@@ -11,6 +11,7 @@ import pytest
 import stand_in
 
 from deepbots_cli import api
+from deepbots_cli.cli import main
 from deepbots_cli.cli.records import robustness_text
 from deepbots_cli.document import Document, load
 from deepbots_cli.errors import UsageError
@@ -219,11 +220,17 @@ def test_the_friction_of_a_stair_varies_with_that_of_the_ground_and_is_named() -
     assert (world.ground.friction, {body.name: body.friction for body in world.objects}) == (0.5, {"stair": 0.4, "mark": 1.0})
 
 
-def test_a_policy_that_fails_without_any_change_has_nothing_to_keep(trained: TrainingResult, tmp_path: Path) -> None:
+def test_a_policy_that_fails_without_any_change_has_nothing_to_keep(
+    trained: TrainingResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     kept = (trained.run / "resolved.yaml").read_text()
     without_solved = re.sub(r"(?m)^solved:.*\n", "", kept).replace("inputs/robots/urdf/cartpole.urdf", "cartpole")
-    (tmp_path / "hard.yaml").write_text(without_solved.replace("failure:", "success: {far: abs(x) > 1 m}\n  failure:"))
-    found = evaluate_robustness(trained.run, episodes=2, scenario=tmp_path / "hard.yaml", engine="mujoco")
+    hard = tmp_path / "hard.yaml"
+    hard.write_text(without_solved.replace("failure:", "success: {far: abs(x) > 1 m}\n  failure:"))
+    options = ["--scenario", str(hard), "--engine", "mujoco", "--episodes", "2"]
+    assert main(["robustness", str(trained.run), *options]) == 1
+    shown = capsys.readouterr().out
+    assert "nothing to keep: without any change, the success rate is 0.0%" in shown
+    assert "required" not in shown
+    found = evaluate_robustness(trained.run, episodes=2, scenario=hard, engine="mujoco")
     assert (found.bar, found.nominal_holds, found.conditions) == (None, False, ())
-    assert "nothing to keep: without any change, the success rate is 0.0%" in robustness_text(found)
-    assert "required" not in robustness_text(found)
