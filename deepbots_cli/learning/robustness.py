@@ -91,9 +91,11 @@ class Side:
         """In words: `holds up to` a level, `fails from` a level, and the levels between them whose scores do not follow this order."""
         parts = []
         if self._held:
-            parts.append(f"holds up to {self._held[-1].level}{_surely('up to', self._held)}")
+            *easier, last = self._held
+            parts.append(f"holds up to {last.level}{_surely('up to', last, easier[::-1])}")
         if self._failed:
-            parts.append(f"fails from {self._failed[0].level}{_surely('from', self._failed[::-1])}")
+            first, *harder = self._failed
+            parts.append(f"fails from {first.level}{_surely('from', first, harder)}")
         between = self.levels[len(self._held) : len(self.levels) - len(self._failed)]
         if not between:
             return ", ".join(parts)
@@ -113,12 +115,12 @@ class Side:
         return list(takewhile(lambda entry: not entry.holds, reversed(self.levels)))[::-1]
 
 
-def _surely(words: str, run: Sequence[RobustnessLevel]) -> str:
-    """A remark on levels with the same answer, from the surest side on, of which some are not significant."""
-    sure = list(takewhile(lambda entry: entry.certain, run))
-    if len(sure) == len(run):
+def _surely(words: str, boundary: RobustnessLevel, others: Sequence[RobustnessLevel]) -> str:
+    """A remark on a boundary that is not significant: the next level beside it that is, of the others on its side of the boundary."""
+    if boundary.certain:
         return ""
-    return f" ({words} {sure[-1].level} for sure)" if sure else " (not significant)"
+    sure = next((entry.level for entry in others if entry.certain), None)
+    return f" ({words} {sure} for sure)" if sure else " (not significant)"
 
 
 def _may_be_ordered(levels: Sequence[RobustnessLevel]) -> bool:
