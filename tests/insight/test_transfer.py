@@ -56,6 +56,8 @@ def rover(change: str) -> str:
     return f"robots: {{rover: {{{change}}}}}"
 
 
+HALF_TORQUE = "the action push x 0.5|motor strength x 0.5"
+"""Of a motor that gives a torque, half the action and half the strength are the same."""
 ERRORS = {
     "late sensor of a cart": (
         "cartpole",
@@ -72,7 +74,7 @@ ERRORS = {
     "halved gain of a choice": ("cartpole", cart("apply: {wheels: 0.5 * drive * wheel_speed}"), r"command of cart.wheels x 0.5"),
     "bias of a gyro": ("balancer", bot("emit: {rate: gyro.y + 0.3 rad/s}"), "bot.rate is larger by 0.3 rad/s"),
     "lag of motors": ("balancer", bot("actuators: {wheels: {time_constant: 20 ms}}"), r"time constant of bot.wheels \+20 ms"),
-    "halved gain of an action": ("balancer", bot("apply: {wheels: 0.5 * push * top_torque}"), r"the action push x 0.5"),
+    "halved gain of an action": ("balancer", bot("apply: {wheels: 0.5 * push * top_torque}"), HALF_TORQUE),
     "late ground sensor": (
         "line_follower",
         rover("sensors: {ground: {latency: 64 ms}}"),
@@ -109,7 +111,7 @@ ERRORS = {
     "weak motors": (
         "balancer",
         "robots: {bot: {actuators: {wheels: {strength: 0.5 * uniform(0.9 .. 1.1)}}}}",
-        "motor strength x 0.5",
+        HALF_TORQUE,
     ),
     "mass of a body": ("balancer", "robots: {bot: {links: {body: {mass: 1.5 * urdf}}}}", "mass of bot.body x 1.5"),
     "late sensor": ("balancer", "robots: {bot: {sensors: {gyro: {latency: 20 ms}}}}", "late|latency of the sensor bot.gyro 20 ms"),
