@@ -477,10 +477,12 @@ def _changes(here: World, unchanged: _Recorder, document: Document, permissions:
 
 def _frictions(root: MappingNode, program: Program) -> Iterator[Plan]:
     """Another friction of each object that can move."""
+
+    def of(name: str) -> Callable[[float], Change]:
+        return lambda factor: {"objects": {name: friction(root, ("objects", name), factor)}}
+
     for name in (body.name for body in program.world.objects if not body.fixed and body.name in entries_at(root, "objects")):
-        yield Plan.of_factors(
-            f"friction of {name}", lambda factor, name=name: {"objects": {name: friction(root, ("objects", name), factor)}}
-        )
+        yield Plan.of_factors(f"friction of {name}", of(name))
 
 
 def _latencies(root: MappingNode, program: Program) -> Iterator[Plan]:
