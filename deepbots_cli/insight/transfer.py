@@ -6,7 +6,7 @@ world that make it more like the second one: another order, sign, unit or age of
 gain, lag or order of motors. Changes of the physics are simulated, each with the same starts and actions.
 
 Of about a hundred such worlds most explain nothing. One change of each kind is therefore simulated first, in two episodes, and until the
-differences have grown; only the kinds that explain most are simulated with all amounts and in all episodes.
+differences have grown; then all amounts of the kinds that explain most, and in the end the best of these in all episodes.
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import sequence_driver
 from deepbots_cli.rollout.episode import Episode
+from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE, PolicyDriver
 from deepbots_cli.rollout.source import Source
 
 EPISODES, MAX_STEPS = 6, 100
@@ -68,11 +69,15 @@ _GROWN, _FEW = 0.1, 5
 _PROBED_EPISODES, _PROBED_STEPS = 2, 50
 """Episodes in which one change of each kind is simulated, those with the largest differences, and steps of each at most."""
 _REFINED = 8
-"""Kinds of changes that are simulated with all amounts and in all episodes."""
+"""Kinds of changes that are simulated with all amounts in these episodes."""
+_FINAL = 8
+"""Changes that are simulated in all episodes."""
 _GAINS = {"smaller": (0.75, 0.5, 0.25), "larger": (1.25, 1.5, 2.0)}
 """Factors on an action or a command, by side."""
-MIN_EPISODES = 10
-"""Episodes of an evaluation that a number of steps does not leave out."""
+MIN_EPISODES = FORWARD_BATCH_SIZE
+"""Episodes of an evaluation that a number of steps does not leave out: deepbots plays as many at a time."""
+QUICK_EPISODES = 4
+"""Episodes that a quick comparison compares."""
 _MAX_LINKS = 12
 """The largest number of links whose mass is changed."""
 _REWARD = "reward."
@@ -195,16 +200,21 @@ def compare_worlds(
 
 
 def _simulated_causes(comparison: _Comparison, kinds: Sequence[list[_Change]], on_world: Callable[[int, int], object]) -> Iterator[Cause]:
-    """Changes of the kinds that explain most of a few short episodes."""
-    probe, scores = comparison.part(_PROBED_EPISODES, _PROBED_STEPS), []
+    """The changes that explain most of a few short episodes, and how much they explain of all."""
+    probe, probed = comparison.part(_PROBED_EPISODES, _PROBED_STEPS), []
     for number, kind in enumerate(kinds):
-        scores.append(max((cause.explained for cause in probe.tried(kind[(len(kind) - 1) // 2])), default=-inf))
+        probed.append((probe.tried(kind[(len(kind) - 1) // 2]), kind))
         on_world(number + 1, len(kinds))
-    best = sorted((number for number, score in enumerate(scores) if score > 0.0), key=lambda number: -scores[number])[:_REFINED]
-    changes = [change for number in sorted(best) for change in kinds[number]]
+    best = sorted((entry for entry in probed if entry[0] and entry[0][0].explained > 0.0), key=lambda entry: -entry[0][0].explained)
+    changes = [change for _, kind in best[:_REFINED] for change in kind]
+    refined = []
     for number, change in enumerate(changes):
-        yield from comparison.tried(change)
+        refined += [(cause.explained, change) for cause in probe.tried(change)]
         on_world(number + 1, len(changes))
+    last = [change for _, change in sorted(refined, key=lambda entry: -entry[0])[:_FINAL]]
+    for number, change in enumerate(last):
+        yield from comparison.tried(change)
+        on_world(number + 1, len(last))
 
 
 class _Column(NamedTuple):
@@ -266,7 +276,6 @@ class _Recorder(gym.Wrapper[Any, Any, Any, Any]):
 def _recorded(run: Run, here: World, model: ModelName, seed: int, episodes: int, permissions: Permissions) -> list[_Recorded]:
     from deepbots_cli.learning.evaluation import load_model
     from deepbots_cli.learning.sb3.algorithms import torch_settings
-    from deepbots_cli.rollout.policies import PolicyDriver
 
     found = []
     with torch_settings(), closing(_Recorder(here, permissions)) as world:
@@ -644,8 +653,8 @@ def transfer(
         min_success: The success rate that the policy must reach in both worlds, and at the first level of each side of each condition.
         min_return: The same for the mean return.
         episodes: Episodes of each evaluation.
-        max_steps: The evaluation in the world of the training ends after this number of steps, but not before 10 episodes. The other
-            one has as many episodes.
+        max_steps: The evaluation in the world of the training ends after this number of steps, but not before 8 episodes, and the other
+            one has as many episodes. Fewer episodes are compared, too.
         with_conditions: Whether the policy is also evaluated under changed conditions.
         seed: Root seed of the starts; by default that of the training.
         spread: Where the evaluations under changed conditions run.
@@ -669,7 +678,8 @@ def transfer(
     program = known.program if scenario is None else scenario.program
     worlds = World(known.program, run.record.engine), World(program, engine)
     watch = on_world or (lambda done, planned: None)
-    comparison = compare_worlds(run, *worlds, base_document(base), seed=root, permissions=permissions, on_world=watch)
+    compared: dict[str, Any] = {"seed": root, "episodes": EPISODES if max_steps == inf else QUICK_EPISODES, "permissions": permissions}
+    comparison = compare_worlds(run, *worlds, base_document(base), on_world=watch, **compared)
     robustness = None
     if with_conditions:
         robustness = evaluate_robustness(run, min_success=min_success, min_return=min_return, on_level=on_world, spread=spread, **given)

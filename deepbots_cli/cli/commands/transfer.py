@@ -28,7 +28,7 @@ from deepbots_cli.rollout.source import Source, SourceKind
 if TYPE_CHECKING:
     from deepbots_cli.insight.transfer import Transfer
 
-DEFAULT_EPISODES, QUICK_STEPS = 50, 3_000
+DEFAULT_EPISODES, QUICK_STEPS = 50, 2_000
 """Episodes of each evaluation, and the steps after which those of `--quick` end."""
 
 
@@ -56,7 +56,7 @@ def command(
         option(
             "--quick",
             "Leave out the evaluations with noise, delays, other masses and weaker motors. Without --episodes, the two others end after"
-            f" {QUICK_STEPS:,} steps, but not before 10 episodes.",
+            f" {QUICK_STEPS:,} steps, but not before 8 episodes.",
         ),
     ] = False,
     log: Annotated[Path | None, option("--log FILE", "Compare an MCAP log of `deepbots serve` with the simulation instead.")] = None,
