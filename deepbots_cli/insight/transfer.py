@@ -68,7 +68,7 @@ _GROWN, _FEW = 0.1, 5
 """A difference has grown from this share of the width on; so many moments more are counted as early ones."""
 _PROBED_EPISODES, _PROBED_STEPS = 2, 50
 """Episodes in which one change of each kind is simulated, those with the largest differences, and steps of each at most."""
-_REFINED = 8
+_REFINED = 12
 """Kinds of changes that are simulated with all amounts in these episodes."""
 _FINAL = 8
 """Changes that are simulated in all episodes."""
@@ -201,17 +201,19 @@ def compare_worlds(
 
 def _simulated_causes(comparison: _Comparison, kinds: Sequence[list[_Change]], on_world: Callable[[int, int], object]) -> Iterator[Cause]:
     """The changes that explain most of a few short episodes, and how much they explain of all."""
-    probe, probed = comparison.part(_PROBED_EPISODES, _PROBED_STEPS), []
-    for number, kind in enumerate(kinds):
-        probed.append((probe.tried(kind[(len(kind) - 1) // 2]), kind))
-        on_world(number + 1, len(kinds))
-    best = sorted((entry for entry in probed if entry[0] and entry[0][0].explained > 0.0), key=lambda entry: -entry[0][0].explained)
-    changes = [change for _, kind in best[:_REFINED] for change in kind]
-    refined = []
-    for number, change in enumerate(changes):
-        refined += [(cause.explained, change) for cause in probe.tried(change)]
-        on_world(number + 1, len(changes))
-    last = [change for _, change in sorted(refined, key=lambda entry: -entry[0])[:_FINAL]]
+    probe = comparison.part(_PROBED_EPISODES, _PROBED_STEPS)
+    scores: dict[_Change, float] = {}
+
+    def score(changes: Sequence[_Change]) -> None:
+        for number, change in enumerate(changes):
+            scores[change] = max((cause.explained for cause in probe.tried(change)), default=-inf)
+            on_world(number + 1, len(changes))
+
+    probed = {kind[(len(kind) - 1) // 2]: kind for kind in kinds}
+    score(list(probed))
+    best = sorted((change for change in probed if scores[change] > 0.0), key=lambda change: -scores[change])[:_REFINED]
+    score([change for chosen in best for change in probed[chosen] if change not in scores])
+    last = sorted((change for change in scores if scores[change] > 0.0), key=lambda change: -scores[change])[:_FINAL]
     for number, change in enumerate(last):
         yield from comparison.tried(change)
         on_world(number + 1, len(last))
