@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.evaluation import EvaluationResult
     from deepbots_cli.learning.group import GroupTraining
     from deepbots_cli.learning.keeping import KeptModel
-    from deepbots_cli.learning.robustness import Robustness
+    from deepbots_cli.learning.robustness import Condition, Robustness, Side
     from deepbots_cli.view.frames import WorldFrame
 
 MAX_DRAWN = 8
@@ -317,37 +317,48 @@ def group_json(group: GroupResult) -> dict[str, Any]:
 
 
 def robustness_text(found: Robustness) -> str:
-    """A row for each level of each condition, and for each condition where the result falls below the required score."""
+    """A row for each level of each condition, and for each side of a condition the level up to which the policy holds."""
+    title = (
+        f"robustness of {found.run} in {found.scenario}: {found.nominal.episodes} held-out episodes of each level,"
+        f" from seed {found.nominal.seed}{in_parentheses(found.nominal.circumstances)}"
+    )
+    if found.bar is None:
+        rate = with_interval(found.nominal.success_rate, found.nominal.success_interval, percent)
+        return (
+            f"{title}\nnothing to keep: without any change, the success rate is {rate}, so no changed condition was evaluated;"
+            " train the policy further, or require a return with --min-return VALUE"
+        )
     is_rate = found.metric == "success_rate"
-    levels = [("(no change)", "", found.nominal, found.nominal_holds, found.nominal_certain)]
-    levels += [(each.name, part.level, part.evaluation, part.holds, part.certain) for each in found.conditions for part in each.levels]
-    rows = [
-        {
-            "condition": name,
-            "level": level,
-            **scores(result),
-            "required": ("met" if holds else "missed") + ("" if certain else ", not significant"),
-        }
-        for name, level, result, holds, certain in levels
-    ]
-    changed = {name for name, _, result, _, _ in levels if _episodes(result) != _episodes(found.nominal)}
-    same = [condition.name for condition in found.conditions if condition.levels and condition.name not in changed]
+    rows = [_level_row("(no change)", "", found.nominal, holds=found.nominal_holds, certain=found.nominal_certain)]
+    for condition in found.conditions:
+        for level in condition.levels:
+            rows.append(_level_row(condition.name, level.level, level.evaluation, holds=level.holds, certain=level.certain))
+    same = [each.name for each in found.conditions if each.levels and not _changes_episodes(each, found.nominal)]
     notes = [f"no effect on any episode (the lengths and returns are unchanged): {', '.join(same)}"] if same else []
     if not found.nominal_holds:
         option = "--min-success" if is_rate else "--min-return"
         notes.append(f"the policy misses the required score even without any change; set another one with {option}")
     return "\n".join(
         [
-            f"robustness of {found.run} in {found.scenario}: {found.nominal.episodes} held-out episodes of each level,"
-            f" from seed {found.nominal.seed}{in_parentheses(found.nominal.circumstances)}",
+            title,
             f"required: {'success rate' if is_rate else 'mean return'} of at least {(percent if is_rate else number)(found.bar)}"
             f" ({found.bar_source})",
-            table(rows),
+            row_as_lines({name: verdict for condition in found.conditions for name, verdict in condition.verdicts.items()}),
             "",
-            row_as_lines({condition.name: condition.threshold for condition in found.conditions}),
+            table(rows),
             *_notes(notes),
         ]
     )
+
+
+def _level_row(condition: str, level: str, result: EvaluationResult, *, holds: bool, certain: bool) -> Row:
+    required = ("met" if holds else "missed") + ("" if certain else ", not significant")
+    return {"condition": condition, "level": level, **scores(result), "required": required}
+
+
+def _changes_episodes(condition: Condition, nominal: EvaluationResult) -> bool:
+    """Whether a level of a condition changes the return or the length of an episode."""
+    return any(_episodes(level.evaluation) != _episodes(nominal) for level in condition.levels)
 
 
 def _episodes(result: EvaluationResult) -> list[tuple[float, int]]:
@@ -357,14 +368,16 @@ def _episodes(result: EvaluationResult) -> list[tuple[float, int]]:
 def robustness_json(found: Robustness) -> dict[str, Any]:
     """The same as a dictionary, with every evaluation."""
     conditions = [
-        {
-            **{name: getattr(condition, name) for name in ("name", "skipped", "threshold")},
-            "levels": [{**vars(entry), "evaluation": to_json(entry.evaluation)} for entry in condition.levels],
-        }
+        {"name": condition.name, "skipped": condition.skipped, "sides": [_side_json(side) for side in condition.sides]}
         for condition in found.conditions
     ]
     known = {name: getattr(found, name) for name in ("run", "scenario", "metric", "bar", "bar_source", "nominal_holds", "nominal_certain")}
     return {**known, "nominal": to_json(found.nominal), "conditions": conditions}
+
+
+def _side_json(side: Side) -> dict[str, Any]:
+    known = {name: getattr(side, name) for name in ("name", "verdict", "holds_up_to", "fails_from")}
+    return {**known, "levels": [{**vars(level), "evaluation": to_json(level.evaluation)} for level in side.levels]}
 
 
 # Recordings

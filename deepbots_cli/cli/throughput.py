@@ -152,7 +152,7 @@ class FasterEngine:
         return (
             f"{self.engine} steps this world {self.ratio:.1f} times as fast as {self.used} ({self.steps_per_second:,.0f} against "
             f"{self.used_steps_per_second:,.0f} steps/s). To use it, add the line `engine: {self.engine}` to the section `world`, or give "
-            f"--engine {self.engine}. Motion and results differ a little between engines."
+            f"--engine {self.engine}. Motion and results may differ; `deepbots transfer RUN` shows how much."
         )
 
 

@@ -2,15 +2,18 @@
 
 The policy plays some episodes in the world of its training, and the other world repeats their starts and actions. The difference of each
 number of the observation and of each reward term then comes from the world, not from other actions. `causes` are changes of the first
-world that make it more like the second one: another order, sign, unit or age of a number, or another latency, mass, friction, strength or
-order of motors. Changes of the physics are simulated, each with the same starts and actions.
+world that make it more like the second one: another order, sign, unit or age of a number, or another latency, mass, friction, strength,
+gain, lag or order of motors. Changes of the physics are simulated, each with the same starts and actions.
+
+Of about a hundred such worlds most explain nothing. One change of each kind is therefore simulated first, in two episodes, and until the
+differences have grown; then all amounts of the kinds that explain most, and in the end the best of these in all episodes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, islice
 from math import inf
 from pathlib import Path
@@ -29,13 +32,14 @@ from deepbots_cli.insight.conditions import InstrumentedProgram, instrument_prog
 from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
 from deepbots_cli.learning.robustness import (
-    MASS_FACTORS,
     Change,
     Plan,
     Robustness,
     base_document,
     changed_scenario,
     evaluate_robustness,
+    friction,
+    listed,
     masses,
     plans,
     written,
@@ -46,6 +50,8 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import sequence_driver
+from deepbots_cli.rollout.episode import Episode
+from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE, PolicyDriver
 from deepbots_cli.rollout.source import Source
 
 EPISODES, MAX_STEPS = 6, 100
@@ -60,10 +66,22 @@ _LEAST_EXPLAINED = 0.3
 """Share of the squared differences that a cause must explain."""
 _GROWN, _FEW = 0.1, 5
 """A difference has grown from this share of the width on; so many moments more are counted as early ones."""
-_REFINED = 8
-"""Families of changes with many levels of which all are tried."""
+_PROBED_EPISODES, _PROBED_STEPS = 2, 50
+"""Episodes in which one change of each kind is simulated, those with the largest differences, and steps of each at most."""
+_REFINED = 12
+"""Kinds of changes that are simulated with all amounts in these episodes."""
+_FINAL = 8
+"""Changes that are simulated in all episodes."""
+_GAINS = {"smaller": (0.75, 0.5, 0.25), "larger": (1.25, 1.5, 2.0)}
+"""Factors on an action or a command, by side."""
+MIN_EPISODES = FORWARD_BATCH_SIZE
+"""Episodes of an evaluation that a number of steps does not leave out: deepbots plays as many at a time."""
+QUICK_EPISODES = 4
+"""Episodes that a quick comparison compares."""
 _MAX_LINKS = 12
 """The largest number of links whose mass is changed."""
+_REWARD = "reward."
+"""How the name of a reward term begins."""
 _MAX_MOTORS = 12
 """The largest number of motors whose order is tried."""
 _UNITS = {
@@ -76,13 +94,15 @@ _UNITS = {
 }
 
 Array = NDArray[np.float64]
+Act = Callable[[Any], Any]
+"""Changes an action."""
 
 
 class Difference(NamedTuple):
     """A number of the observation, or a reward term, that differs.
 
     Attributes:
-        name: Its name; a reward term begins with `reward.`.
+        name: Its name; that of a reward term begins with `reward.`.
         unit: Its unit; empty for a number without one.
         episode: The episode in which it differs first.
         step: The first step of this episode in which it differs; 0 is the reset.
@@ -109,12 +129,19 @@ class Cause(NamedTuple):
 
 @dataclass(frozen=True)
 class WorldComparison:
-    """`differences` in the order in which they begin, and `causes` from the one that explains most."""
+    """`differences` in the order in which they begin, and `causes` from the one that explains most.
+
+    A cause explains numbers of the observation, so there is none if only reward terms differ.
+    """
 
     episodes: int
     steps: int
     differences: tuple[Difference, ...]
     causes: tuple[Cause, ...]
+
+    @property
+    def observation_differs(self) -> bool:
+        return any(not each.name.startswith(_REWARD) for each in self.differences)
 
 
 class World(NamedTuple):
@@ -161,28 +188,35 @@ def compare_worlds(
         raise UsageError(f"{here.program.name} has copies of a robot, whose worlds cannot be compared step by step")
     columns = _columns(instrument_program(here.program, include_observation=True))
     recorded = _recorded(run, here, model, seed, episodes, permissions)
-    found = _repeated(there, recorded, permissions)
-    comparison = _Comparison(columns, recorded, found)
-    differences = comparison.differences()
-    causes: list[Cause] = []
-    if differences:
-        causes += comparison.measured_causes()
-        families = [*_changes(here, document, recorded)]
-        done, planned = 0, sum(len(_small(family)) for family in families)
-        best: list[tuple[float, int]] = []
-        for number, family in enumerate(families):
-            found_here = []
-            for change in _small(family):
-                found_here += comparison.tried(change, permissions)
-                on_world(done := done + 1, planned)
-            causes += found_here
-            best.append((max((cause.explained for cause in found_here), default=-inf), number))
-        for _, number in sorted(best, reverse=True)[:_REFINED]:
-            for change in families[number]:
-                if change not in _small(families[number]):
-                    causes += comparison.tried(change, permissions)
+    comparison = _Comparison(columns, recorded, _repeated(there, recorded, permissions))
+    result = WorldComparison(len(recorded), max(len(each.actions) for each in recorded), tuple(comparison.differences()), ())
+    if not result.observation_differs:
+        return result
+    causes = [*comparison.measured_causes()]
+    with closing(_Recorder(here, permissions)) as unchanged:
+        causes += _simulated_causes(comparison, [*_changes(here, unchanged, document, permissions)], on_world)
     likely = sorted((cause for cause in causes if cause.explained >= _LEAST_EXPLAINED), key=lambda cause: -cause.explained)  # stable
-    return WorldComparison(len(recorded), max(len(each.actions) for each in recorded), tuple(differences), tuple(likely))
+    return replace(result, causes=tuple(likely))
+
+
+def _simulated_causes(comparison: _Comparison, kinds: Sequence[list[_Change]], on_world: Callable[[int, int], object]) -> Iterator[Cause]:
+    """The changes that explain most of a few short episodes, and how much they explain of all."""
+    probe = comparison.part(_PROBED_EPISODES, _PROBED_STEPS)
+    scores: dict[_Change, float] = {}
+
+    def score(changes: Sequence[_Change]) -> None:
+        for number, change in enumerate(changes):
+            scores[change] = max((cause.explained for cause in probe.tried(change)), default=-inf)
+            on_world(number + 1, len(changes))
+
+    probed = {kind[(len(kind) - 1) // 2]: kind for kind in kinds}
+    score(list(probed))
+    best = sorted((change for change in probed if scores[change] > 0.0), key=lambda change: -scores[change])[:_REFINED]
+    score([change for chosen in best for change in probed[chosen] if change not in scores])
+    last = sorted((change for change in scores if scores[change] > 0.0), key=lambda change: -scores[change])[:_FINAL]
+    for number, change in enumerate(last):
+        yield from comparison.tried(change)
+        on_world(number + 1, len(last))
 
 
 class _Column(NamedTuple):
@@ -194,7 +228,7 @@ def _columns(watch: InstrumentedProgram) -> list[_Column]:
     kept = _kept(watch)
     return [
         *(_Column(each.full_name, each.unit.removeprefix("1")) for each in watch.program.agent.numbers if each.name in kept),
-        *(_Column(f"reward.{term.name}", "") for term in watch.program.agent.reward),
+        *(_Column(f"{_REWARD}{term.name}", "") for term in watch.program.agent.reward),
     ]
 
 
@@ -244,7 +278,6 @@ class _Recorder(gym.Wrapper[Any, Any, Any, Any]):
 def _recorded(run: Run, here: World, model: ModelName, seed: int, episodes: int, permissions: Permissions) -> list[_Recorded]:
     from deepbots_cli.learning.evaluation import load_model
     from deepbots_cli.learning.sb3.algorithms import torch_settings
-    from deepbots_cli.rollout.policies import PolicyDriver
 
     found = []
     with torch_settings(), closing(_Recorder(here, permissions)) as world:
@@ -257,31 +290,38 @@ def _recorded(run: Run, here: World, model: ModelName, seed: int, episodes: int,
     return found
 
 
-def _repeated(
-    world: World, recorded: Sequence[_Recorded], permissions: Permissions, act: Callable[[Any], Any] = lambda action: action
-) -> list[Array]:
-    """The values of each episode with its start and actions in a world; `act` changes the actions."""
-    found = []
+def _repeated(world: World, recorded: Sequence[_Recorded], permissions: Permissions) -> list[Array]:
+    """The values of each episode with its start and actions in a world."""
     with closing(_Recorder(world, permissions)) as made:
-        for episode in recorded:
-            driver = sequence_driver([act(action) for action in episode.actions])
-            with suppress(EvaluationError):  # an ending is true at the reset
-                for _ in islice(steps(made, driver, episode.start), len(episode.actions) + 1):
-                    pass
-            found.append(made.values)
-    return found
+        return _repeated_in(made, recorded)
+
+
+def _repeated_in(made: _Recorder, recorded: Sequence[_Recorded], act: Act = lambda action: action) -> list[Array]:
+    """The same in a world that exists; `act` changes the actions."""
+    values = []
+    for episode in recorded:
+        driver = sequence_driver([act(action) for action in episode.actions])
+        with suppress(EvaluationError):  # an ending is true at the reset
+            for _ in islice(steps(made, driver, episode.start), len(episode.actions) + 1):
+                pass
+        values.append(made.values)
+    return values
 
 
 class _Comparison:
-    """The values of episodes in two worlds, up to the end of the shorter one of each pair."""
+    """The values of episodes in two worlds, up to the end of the shorter one of each pair.
 
-    def __init__(self, columns: Sequence[_Column], recorded: Sequence[_Recorded], found: Sequence[Array]) -> None:
-        self._columns = columns
+    `width` is the width that each column spans; by default that in these episodes of the first world.
+    """
+
+    def __init__(
+        self, columns: Sequence[_Column], recorded: Sequence[_Recorded], found: Sequence[Array], width: Array | None = None
+    ) -> None:
+        self._columns, self._recorded = columns, recorded
         self._here = [episode.values for episode in recorded]
         self._there = [*found]
-        together = np.vstack(self._here)
-        self._width = np.maximum(np.ptp(together, axis=0), 1e-9)
-        self._numbers = [place for place, column in enumerate(columns) if not column.name.startswith("reward.")]
+        self._width = np.maximum(np.ptp(np.vstack(self._here), axis=0), 1e-9) if width is None else width
+        self._numbers = [place for place, column in enumerate(columns) if not column.name.startswith(_REWARD)]
         self._base = self._errors(self._here)
         self._early = [self._small_until(*pair) for pair in zip(self._here, self._there, strict=True)]
 
@@ -316,10 +356,26 @@ class _Comparison:
             shares.append(1.0 - left / base if base else 0.0)
         return float(np.mean(shares))
 
-    def tried(self, change: _Change, permissions: Permissions) -> list[Cause]:
+    def part(self, episodes: int, steps: int) -> _Comparison:
+        """The comparison of a few episodes, those with the largest differences, until these have grown, and of a few steps."""
+        apart = [np.square((mine[:early] - other[:early]) / self._width)[:, self._numbers].mean() for mine, other, early in self._pairs()]
+        chosen = sorted(sorted(range(len(apart)), key=lambda number: -apart[number])[:episodes])
+        recorded, found = [], []
+        for number in chosen:
+            length = min(self._early[number], steps + 1)
+            start, actions, values = self._recorded[number]
+            recorded.append(_Recorded(start, actions[: length - 1], values[:length]))
+            found.append(self._there[number][:length])
+        return _Comparison(self._columns, recorded, found, self._width)
+
+    def _pairs(self) -> Iterator[tuple[Array, Array, int]]:
+        """The values of each episode in both worlds, and the moments before the differences have grown."""
+        yield from zip(self._here, self._there, self._early, strict=True)
+
+    def tried(self, change: _Change) -> list[Cause]:
         """How much a change explains; nothing if it is none of this scenario."""
         try:
-            return [Cause(change.text, self.explained(change.simulate(permissions)))]
+            return [Cause(change.text, self.explained(change.simulate(self._recorded)))]
         except DeepbotsError:
             return []
 
@@ -354,7 +410,7 @@ class _Comparison:
             else:
                 texts.append(text)
         texts += [
-            f"{_listed(names)} {'is' if len(names) == 1 else 'are'} {age} step{'s' if age > 1 else ''} late" for age, names in late.items()
+            f"{listed(names)} {'is' if len(names) == 1 else 'are'} {age} step{'s' if age > 1 else ''} late" for age, names in late.items()
         ]
         if texts:
             yield Cause("; ".join(texts), self.explained(fixed))
@@ -393,87 +449,128 @@ class _Comparison:
         return float(np.mean(np.concatenate(squares)))
 
 
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
 # Changes of the first world
 
-Simulation = Callable[[Permissions], list[Array]]
+Simulation = Callable[[Sequence[_Recorded]], list[Array]]
 
 
 class _Change(NamedTuple):
-    """A change of the first world: in words, and what simulates it."""
+    """A change of the first world: in words, and what simulates episodes with it."""
 
     text: str
     simulate: Simulation
 
 
-def _small(family: Sequence[_Change]) -> Sequence[_Change]:
-    """The smallest changes of many, one in each direction: the right one explains something even if its amount is wrong."""
-    middle = len(family) // 2
-    return family if len(family) < 5 else family[middle - 1 : middle + 1]
-
-
-def _changes(here: World, document: Document, recorded: Sequence[_Recorded]) -> Iterator[list[_Change]]:
-    """What may be different in a world: families of changes, each by the amount of the change."""
+def _changes(here: World, unchanged: _Recorder, document: Document, permissions: Permissions) -> Iterator[list[_Change]]:
+    """What may be different in a world: kinds of changes, each by the amount of the change. `unchanged` is `here`, for other actions."""
 
     def of(change: Change) -> Simulation:
-        def simulated(permissions: Permissions) -> list[Array]:
-            return _repeated(World(changed_scenario(document, change).program, here.engine), recorded, permissions)
+        return lambda recorded: _repeated(World(changed_scenario(document, change).program, here.engine), recorded, permissions)
 
-        return simulated
+    def with_actions(act: Act) -> Simulation:
+        return lambda recorded: _repeated_in(unchanged, recorded, act)
 
-    assert isinstance(document.root, MappingNode)
-    for name, levels in (
-        *(plan for plan in plans(document.root, here.program) if not plan[0].startswith("mass of")),
-        *masses(document.root, here.program, _MAX_LINKS),
-        *_frictions(document.root, here.program),
-        *_latencies(document.root, here.program),
+    for kind in _actions(here.program):
+        yield [_Change(text, with_actions(act)) for text, act in kind]
+    root, program = document.root, here.program
+    assert isinstance(root, MappingNode)
+    for plan in (
+        *(plan for plan in plans(root, program) if not plan.name.startswith("mass of ")),
+        *masses(root, program, _MAX_LINKS),
+        *_frictions(root, program),
+        *_latencies(root, program),
+        *_commands(root, program),
     ):
-        if name not in ("message loss", "observation noise"):
-            yield [_Change(f"{name} {label}", of(change)) for label, change in levels]
-
-    def with_actions(act: Callable[[Any], Any]) -> Simulation:
-        return lambda permissions: _repeated(here, recorded, permissions, act)
-
-    for text, act in _actions(here.program):
-        yield [_Change(text, with_actions(act))]
+        if plan.name not in ("message loss", "observation noise"):
+            for levels in plan.sides.values():
+                yield [_Change(f"{plan.name} {label}", of(change)) for label, change in levels]
 
 
 def _frictions(root: MappingNode, program: Program) -> Iterator[Plan]:
     """Another friction of each object that can move."""
+
+    def of(name: str) -> Callable[[float], Change]:
+        return lambda factor: {"objects": {name: friction(root, ("objects", name), factor)}}
+
     for name in (body.name for body in program.world.objects if not body.fixed and body.name in entries_at(root, "objects")):
-        own = written(root, "objects", name, "friction") or "1"
-        yield f"friction of {name}", [(f"x {each:g}", {"objects": {name: {"friction": f"{each:g} * ({own})"}}}) for each in MASS_FACTORS]
+        yield Plan.of_factors(f"friction of {name}", of(name))
 
 
 def _latencies(root: MappingNode, program: Program) -> Iterator[Plan]:
-    """Another latency of each sensor."""
+    """A larger latency of each sensor."""
     for robot in program.robots:
         for sensor in entries_at(root, "robots", robot.name, "sensors"):
-            delays = [1000 * program.world.timestep * count for count in (1, 2, 4)]
-            yield (
-                f"latency of the sensor {robot.name}.{sensor}",
-                [(f"{delay:g} ms", {"robots": {robot.name: {"sensors": {sensor: {"latency": f"{delay:g} ms"}}}}}) for delay in delays],
-            )
+            path = ("robots", robot.name, "sensors", sensor, "latency")
+            yield _later(root, program, f"latency of the sensor {robot.name}.{sensor}", [path])
 
 
-def _actions(program: Program) -> Iterator[tuple[str, Callable[[Any], Any]]]:
-    """Actions with another sign or order: of ranges, or of the options of one choice."""
+def _commands(root: MappingNode, program: Program) -> Iterator[Plan]:
+    """Another gain of the command of each actuator, and a larger time constant; also of all together."""
+    places = [(robot.name, name) for robot in program.robots for name in entries_at(root, "robots", robot.name, "actuators")]
+    chosen = {f"{robot}.{name}": [(robot, name)] for robot, name in places[:_MAX_MOTORS]}
+    if len(places) > 1:
+        chosen["all actuators"] = places
+    for words, actuators in chosen.items():
+        written_commands = {("robots", robot, "apply", name): written(root, "robots", robot, "apply", name) for robot, name in actuators}
+        commands = {path: command for path, command in written_commands.items() if command}
+        if commands:
+            sides = {
+                side: [
+                    (f"x {factor:g}", _together({path: f"{factor:g} * ({command})" for path, command in commands.items()}))
+                    for factor in factors
+                ]
+                for side, factors in _GAINS.items()
+            }
+            yield Plan(f"command of {words}", sides)
+        paths = [("robots", robot, "actuators", name, "time_constant") for robot, name in actuators]
+        yield _later(root, program, f"time constant of {words}", paths)
+
+
+def _later(root: MappingNode, program: Program, name: str, paths: Sequence[tuple[str, ...]]) -> Plan:
+    """Times that are longer by 1, 2 and 4 timesteps."""
+    owns = {path: written(root, *path) for path in paths}
+    levels = []
+    for count in (1, 2, 4):
+        delay = f"{1000 * program.world.timestep * count:g} ms"
+        levels.append((f"+{delay}", _together({path: delay + (f" + {own}" if own else "") for path, own in owns.items()})))
+    return Plan.one_way(name, levels)
+
+
+def _together(values: Mapping[tuple[str, ...], str]) -> Change:
+    """A change of the values at several paths."""
+    change: Change = {}
+    for path, value in values.items():
+        section = change
+        for key in path[:-1]:
+            section = section.setdefault(key, {})
+        section[path[-1]] = value
+    return change
+
+
+def _actions(program: Program) -> Iterator[list[tuple[str, Act]]]:
+    """Actions with another sign, order or gain: of ranges, or of the options of one choice."""
     names, choices = program.agent.range_names, program.agent.choices
     if len(choices) == 1 and not names:
         options = choices[0].options
         for one, other in combinations(range(len(options)), 2):
-            yield f"the options {options[one].name} and {options[other].name} are swapped", _swapped_options(one, other)
+            yield [(f"the options {options[one].name} and {options[other].name} are swapped", _swapped_options(one, other))]
     if choices or not names:
         return
     for place, name in enumerate(names):
-        yield f"the action {name} has the other sign", _negated(np.where(np.arange(len(names)) == place, -1.0, 1.0))
-    for one, other in combinations(range(len(names)), 2) if len(names) <= _MAX_MOTORS else ():
+        yield [(f"the action {name} has the other sign", _negated(np.where(np.arange(len(names)) == place, -1.0, 1.0)))]
+    is_few = len(names) <= _MAX_MOTORS
+    for one, other in combinations(range(len(names)), 2) if is_few else ():
         places = np.arange(len(names))
         places[[one, other]] = other, one
-        yield f"the actions {names[one]} and {names[other]} are swapped", _ordered(places)
+        yield [(f"the actions {names[one]} and {names[other]} are swapped", _ordered(places))]
+    # The value of an action is its middle plus a share of its half width, so a gain also moves the share where the middle is not 0.
+    middles = np.array([(part.high + part.low) / (part.high - part.low) for part in program.agent.ranges for _ in part.names])
+    scaled = {part.name: [name in part.names for name in names] for part in program.agent.ranges}
+    if is_few:
+        scaled |= {name: [name == other for other in names] for name in names}
+    for name, chosen in scaled.items():
+        for factors in _GAINS.values():
+            yield [(f"the action {name} x {factor:g}", _scaled(np.where(chosen, factor, 1.0), middles)) for factor in factors]
 
 
 def _swapped_options(one: int, other: int) -> Callable[[Any], Any]:
@@ -482,6 +579,10 @@ def _swapped_options(one: int, other: int) -> Callable[[Any], Any]:
 
 def _negated(signs: Array) -> Callable[[Any], Any]:
     return lambda action: np.asarray(action * signs, action.dtype)
+
+
+def _scaled(factors: Array, middles: Array) -> Callable[[Any], Any]:
+    return lambda action: np.asarray(np.clip(factors * action + (factors - 1.0) * middles, -1.0, 1.0), action.dtype)
 
 
 def _ordered(places: Any) -> Callable[[Any], Any]:
@@ -539,6 +640,7 @@ def transfer(
     min_success: float | None = None,
     min_return: float | None = None,
     episodes: int = 50,
+    max_steps: float = inf,
     with_conditions: bool = True,
     seed: int | None = None,
     permissions: Permissions = Permissions(),
@@ -552,9 +654,11 @@ def transfer(
         engine: The engine of the other world.
         model: The name of the model.
         scenario: The scenario of the other world; by default that of the run.
-        min_success: The success rate that the policy must reach in both worlds, and at the first level of each condition.
+        min_success: The success rate that the policy must reach in both worlds, and at the first level of each side of each condition.
         min_return: The same for the mean return.
         episodes: Episodes of each evaluation.
+        max_steps: The evaluation in the world of the training ends after this number of steps, but not before 8 episodes, and the other
+            one has as many episodes. Fewer episodes are compared, too.
         with_conditions: Whether the policy is also evaluated under changed conditions.
         seed: Root seed of the starts; by default that of the training.
         spread: Where the evaluations under changed conditions run.
@@ -567,8 +671,13 @@ def transfer(
     base = Source.kept(run.path, permissions)
     known = api.compile(base.checked())
     root = run.record.seed if seed is None else seed
-    given: dict[str, Any] = {"episodes": episodes, "seed": root, "model": model, "permissions": permissions}
-    here = evaluate(run, **given)
+    given: dict[str, Any] = {"seed": root, "model": model, "permissions": permissions}
+
+    def is_enough(done: Sequence[Episode]) -> bool:
+        return len(done) >= MIN_EPISODES and sum(episode.length for episode in done) >= max_steps
+
+    here = evaluate(run, episodes=episodes, until=is_enough, **given)
+    given["episodes"] = here.episodes
     there = evaluate(run, scenario=scenario, engine=engine, **given)
     program = known.program if scenario is None else scenario.program
     worlds = World(known.program, run.record.engine), World(program, engine)
@@ -579,16 +688,20 @@ def transfer(
         base_document(base),
         seed=root,
         model=model,
+        episodes=EPISODES if max_steps == inf else QUICK_EPISODES,
         permissions=permissions,
         on_world=watch,
     )
     robustness = None
     if with_conditions:
         robustness = evaluate_robustness(run, min_success=min_success, min_return=min_return, on_level=on_world, spread=spread, **given)
-    names = (run.record.engine, engine) if scenario is None else (run.program.name, f"{program.name} ({engine})")
+    names = run.record.engine, engine
+    if scenario is not None:
+        names = run.program.name, f"{program.name}{', changed' if scenario.overrides else ''} ({engine})"
     conditions = robustness.conditions if robustness is not None else ()
     judged = [*zip(names, (here, there), strict=True)]
-    judged += [(f"{each.name} {each.levels[0].level}", each.levels[0].evaluation) for each in conditions if each.levels]
+    easiest = ((each.name, side.levels[0]) for each in conditions for side in each.sides if side.levels)
+    judged += [(f"{name} {level.level}", level.evaluation) for name, level in easiest]
     gates = []
     for name, result in judged:
         if min_success is not None:

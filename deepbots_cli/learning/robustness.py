@@ -2,14 +2,19 @@
 
 Each condition is a change of the scenario, laid upon it as a file upon the one that it `extends`, and compiled anew. The changes
 therefore apply to any scenario that has such values. All levels have the same starts.
+
+A condition has one side or two: a latency only grows, and a mass may be smaller or larger. The levels of a side are ordered by their
+distance from the unchanged scenario.
 """
 
 from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -23,6 +28,7 @@ from deepbots_cli.document.load import TESTS, merge, with_settings_at
 from deepbots_cli.document.nodes import NodePath, entries_at, node_at, without_paths
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
+from deepbots_cli.learning.episodes import Interval
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
 from deepbots_cli.learning.run import ModelName, ModelRef, Run
 from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, Counter, Spread, results
@@ -32,8 +38,11 @@ from deepbots_cli.rollout.source import RECORD_NAME, Source, SourceKind
 EPISODES_PER_LEVEL = 50
 """Episodes of a level, unless the scenario asks for fewer."""
 LATENCY_STEPS, LOSS_RATES, NOISE_SHARES = (1, 2, 4, 8), (0.05, 0.1, 0.2, 0.4), (0.01, 0.02, 0.05, 0.1)
-MASS_FACTORS = (0.5, 0.75, 1.25, 1.5, 2.0)
+FACTORS = {"smaller": (0.75, 0.5), "larger": (1.25, 1.5, 2.0)}
+"""Factors on a mass or a friction by side, from the smallest change on."""
 STRENGTH_FACTORS = (0.9, 0.75, 0.5, 0.25)
+_MAX_NAMED = 4
+"""Bodies that the condition of the friction names; more are counted."""
 SHARE_OF_NOMINAL = 0.8
 """Required score if neither the caller nor the scenario sets one: 80 % of the success rate or mean return without any change."""
 
@@ -46,47 +55,107 @@ Change = dict[str, Any]
 class RobustnessLevel:
     """One amount of a condition: its label, such as `+64 ms`, and the evaluation.
 
-    `holds` is true if the score reaches the required one, `certain` if its 95 % interval excludes the required one.
+    `holds` is true if the score reaches the required one, `certain` if its 95 % interval excludes the required one. `interval` is that of
+    the score; None for a single episode.
     """
 
     level: str
     evaluation: EvaluationResult
     holds: bool
     certain: bool
+    interval: Interval | None
 
 
 @dataclass(frozen=True)
-class Condition:
-    """One changed condition at all of its levels, from the smallest change on.
+class Side:
+    """The levels of a condition in one direction, from the smallest change on.
 
-    `skipped` is the reason why this scenario cannot be changed in this way; `levels` is empty then.
+    `name` is `smaller` or `larger`; it is empty if the condition has one direction only.
     """
 
     name: str
     levels: tuple[RobustnessLevel, ...]
+
+    @property
+    def holds_up_to(self) -> str | None:
+        """The last level up to which every score reaches the required one."""
+        return next((entry.level for entry in reversed(self._held)), None)
+
+    @property
+    def fails_from(self) -> str | None:
+        """The first level from which on every score is below the required one."""
+        return next((entry.level for entry in self._failed), None)
+
+    @property
+    def verdict(self) -> str:
+        """In words: `holds up to` a level, `fails from` a level, and the levels between them whose scores do not follow this order."""
+        parts = []
+        if self._held:
+            *easier, last = self._held
+            parts.append(f"holds up to {last.level}{_surely('up to', last, easier[::-1])}")
+        if self._failed:
+            first, *harder = self._failed
+            parts.append(f"fails from {first.level}{_surely('from', first, harder)}")
+        between = self.levels[len(self._held) : len(self.levels) - len(self._failed)]
+        if not between:
+            return ", ".join(parts)
+        if _may_be_ordered(between):
+            rest = f"not decided at {listed([entry.level for entry in between])}, which do not differ within their intervals"
+        else:
+            failed, held = (listed([entry.level for entry in between if entry.holds is holds]) for holds in (False, True))
+            rest = f"fails at {failed} but holds at {held}: here, a larger change is not always harder"
+        return "; ".join([*([", ".join(parts)] if parts else []), rest])
+
+    @property
+    def _held(self) -> list[RobustnessLevel]:
+        return list(takewhile(lambda entry: entry.holds, self.levels))
+
+    @property
+    def _failed(self) -> list[RobustnessLevel]:
+        return list(takewhile(lambda entry: not entry.holds, reversed(self.levels)))[::-1]
+
+
+def _surely(words: str, boundary: RobustnessLevel, others: Sequence[RobustnessLevel]) -> str:
+    """A remark on a boundary that is not significant: the next level beside it that is, of the others on its side of the boundary."""
+    if boundary.certain:
+        return ""
+    sure = next((entry.level for entry in others if entry.certain), None)
+    return f" ({words} {sure} for sure)" if sure else " (not significant)"
+
+
+def _may_be_ordered(levels: Sequence[RobustnessLevel]) -> bool:
+    """Whether scores within the intervals can fall from level to level; an unknown interval allows all scores."""
+    known = [entry.interval for entry in levels if entry.interval is not None]
+    return all(after[0] <= before[1] for place, after in enumerate(known) for before in known[:place])
+
+
+def listed(names: Sequence[str]) -> str:
+    """`a, b and c`."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One changed condition at all of its levels.
+
+    `skipped` is the reason why this scenario cannot be changed in this way; `sides` is empty then.
+    """
+
+    name: str
+    sides: tuple[Side, ...]
     skipped: str | None = None
 
     @property
-    def threshold(self) -> str:
-        """In words: the levels between which the score falls below the required one, and the levels at which this is not significant."""
-        if self.skipped is not None:
-            return f"not measured: {self.skipped}"
-        uncertain = [entry.level for entry in self.levels if not entry.certain]
-        if not uncertain:
-            return self._fall
-        return f"{self._fall}; not significant at {'all levels' if len(uncertain) == len(self.levels) else ', '.join(uncertain)}"
+    def levels(self) -> tuple[RobustnessLevel, ...]:
+        """The levels of all sides."""
+        return tuple(entry for side in self.sides for entry in side.levels)
 
     @property
-    def _fall(self) -> str:
-        failed = [entry.level for entry in self.levels if not entry.holds]
-        held = [entry.level for entry in self.levels if entry.holds]
-        if not failed:
-            return "meets the requirement at all levels"
-        if not held:
-            return "misses the requirement at all levels"
-        if failed == [entry.level for entry in self.levels[len(held) :]]:
-            return f"meets the requirement up to {held[-1]}, misses it from {failed[0]} on"
-        return f"meets the requirement at {', '.join(held)}; misses it at {', '.join(failed)}"
+    def verdicts(self) -> dict[str, str]:
+        """The verdict of each side, by the name of condition and side."""
+        if self.skipped is not None:
+            return {self.name: f"not measured: {self.skipped}"}
+        return {f"{self.name}, {side.name}" if side.name else self.name: side.verdict for side in self.sides}
 
 
 @dataclass(frozen=True)
@@ -94,13 +163,14 @@ class Robustness:
     """A policy under changed conditions.
 
     `metric` is what is compared with `bar`: the success rate where the scenario defines success, else the mean return. `nominal` is the
-    evaluation without any change.
+    evaluation without any change. `bar` is None if there is nothing to keep: no score is required, and the policy never succeeds without
+    any change. `conditions` are then empty.
     """
 
     run: Path
     scenario: str
     metric: Metric
-    bar: float
+    bar: float | None
     bar_source: str
     nominal: EvaluationResult
     conditions: tuple[Condition, ...]
@@ -108,12 +178,12 @@ class Robustness:
     @property
     def nominal_holds(self) -> bool:
         """Whether the score reaches the required one without any change."""
-        return _level("", self.nominal, self.metric, self.bar).holds
+        return self.bar is not None and _level("", self.nominal, self.metric, self.bar).holds
 
     @property
     def nominal_certain(self) -> bool:
         """Whether the 95 % interval of the score without any change excludes the required score."""
-        return _level("", self.nominal, self.metric, self.bar).certain
+        return self.bar is not None and _level("", self.nominal, self.metric, self.bar).certain
 
 
 def evaluate_robustness(
@@ -138,8 +208,10 @@ def evaluate_robustness(
 
     Latencies are added to those of the scenario, one way at a time, in timesteps. Losses hold for both ways, and replace those of the
     scenario. Noise is Gaussian, its standard deviation a share of the range of each entry of the observation; it replaces that of the
-    scenario. The mass of one link or object that can move, the friction of the ground and the strength of all actuators are multiplied by
-    a factor.
+    scenario. The mass of one link or object that can move, the friction of the ground and of fixed objects, and the strength of all
+    actuators are multiplied by a factor.
+
+    A policy that never succeeds without any change is not evaluated under changed conditions, unless a score is required.
 
     Args:
         run: The run, its directory, or the file of a model in it.
@@ -168,45 +240,53 @@ def evaluate_robustness(
     given: dict[str, Any] = {"episodes": min(EPISODES_PER_LEVEL, usual) if episodes is None else episodes, "case": case, "stage": stage}
     given |= {"seed": seed, "model": ref.name, "permissions": permissions, **options}
     planned = list(plans(document.root, program, mass_of)) if document.root is not None else []
-    counter = Counter(on_level, 1 + sum(len(levels) for _, levels in planned))
+    counter = Counter(on_level, 1 + sum(len(plan.levels) for plan in planned))
     skipped: dict[str, str] = {}
 
     def levels() -> Iterator[_Level]:
         """The unchanged scenario, and each change of it, which is compiled when its turn comes."""
-        yield _Level(known, None, "", plain, given)
-        for name, changes in planned:
+        yield _Level(known, None, "", "", plain, given)
+        for plan in planned:
             try:
-                compiled = [(label, changed_scenario(document, change)) for label, change in changes]
+                compiled = [
+                    (side, label, changed_scenario(document, change)) for side, every in plan.sides.items() for label, change in every
+                ]
             except ScenarioError as error:
-                counter.total -= len(changes)
-                skipped[name] = f"the changed scenario does not compile ({error})"
+                counter.total -= len(plan.levels)
+                skipped[plan.name] = f"the changed scenario does not compile ({error})"
                 continue
-            for label, level in compiled:
-                yield _Level(known, name, label, level, given)
+            for side, label, level in compiled:
+                yield _Level(known, plan.name, side, label, level, given)
 
-    found = results(spread.map(_evaluate_level, levels(), watcher=counter, files=[known.path / RECORD_NAME]))
-    _, _, nominal = next(found)
-    metric, bar, source = _bar(program, nominal, min_success, min_return)
-    measured: dict[str | None, list[RobustnessLevel]] = defaultdict(list)
-    for name, label, result in found:
-        measured[name].append(_level(label, result, metric, bar))
-    conditions = [Condition(name, tuple(measured[name]), skipped.get(name)) for name, _ in planned]
+    measured: dict[tuple[str | None, str], list[RobustnessLevel]] = defaultdict(list)
+    with closing(results(spread.map(_evaluate_level, levels(), watcher=counter, files=[known.path / RECORD_NAME]))) as evaluated:
+        _, _, _, nominal = next(evaluated)
+        metric, bar, source = _bar(program, nominal, min_success, min_return)
+        if bar is None:
+            return Robustness(known.path, program.name, metric, bar, source, nominal, ())
+        for condition, side, label, result in evaluated:
+            measured[condition, side].append(_level(label, result, metric, bar))
+    conditions = []
+    for plan in planned:
+        sides = [Side(side, tuple(measured[plan.name, side])) for side in plan.sides if plan.name not in skipped]
+        conditions.append(Condition(plan.name, tuple(sides), skipped.get(plan.name)))
     return Robustness(known.path, program.name, metric, bar, source, nominal, tuple(conditions))
 
 
 class _Level(NamedTuple):
-    """A level of a condition, which is None for the unchanged scenario, and how to evaluate it."""
+    """A level of one side of a condition, which is None for the unchanged scenario, and how to evaluate it."""
 
     run: Run
     condition: str | None
+    side: str
     label: str
     compiled: Compiled
     options: dict[str, Any]
 
 
-def _evaluate_level(level: _Level, attempt: Attempt) -> tuple[str | None, str, EvaluationResult]:
+def _evaluate_level(level: _Level, attempt: Attempt) -> tuple[str | None, str, str, EvaluationResult]:
     try:
-        return level.condition, level.label, evaluate(level.run, scenario=level.compiled, **level.options)
+        return level.condition, level.side, level.label, evaluate(level.run, scenario=level.compiled, **level.options)
     except DeepbotsError as error:
         if level.condition is None:
             raise
@@ -253,11 +333,13 @@ def _level(label: str, result: EvaluationResult, metric: Metric, bar: float) -> 
     is_rate = metric == "success_rate"
     score, interval = (result.success_rate, result.success_interval) if is_rate else (result.mean_return, result.return_interval)
     certain = interval is not None and not interval[0] <= bar <= interval[1]
-    return RobustnessLevel(label, result, score >= bar, certain)
+    return RobustnessLevel(label, result, score >= bar, certain, interval)
 
 
-def _bar(program: Program, nominal: EvaluationResult, min_success: float | None, min_return: float | None) -> tuple[Metric, float, str]:
-    """The metric, the required score, and its source."""
+def _bar(
+    program: Program, nominal: EvaluationResult, min_success: float | None, min_return: float | None
+) -> tuple[Metric, float | None, str]:
+    """The metric, the required score, and its source; the score is None if the unchanged one is 0 % of successes and none is required."""
     solved = program.agent.solved
     if min_return is not None:
         return "mean_return", min_return, "given"
@@ -269,14 +351,33 @@ def _bar(program: Program, nominal: EvaluationResult, min_success: float | None,
         return "mean_return", solved.mean_return, "`solved` of the scenario"
     source = f"{SHARE_OF_NOMINAL:.0%} of the value without any change"
     if nominal.success_defined:
-        return "success_rate", SHARE_OF_NOMINAL * nominal.success_rate, source
+        return "success_rate", SHARE_OF_NOMINAL * nominal.success_rate or None, source
     return "mean_return", nominal.mean_return - (1 - SHARE_OF_NOMINAL) * abs(nominal.mean_return), source
 
 
 # The conditions
 
-Plan = tuple[str, list[tuple[str, Change]]]
-"""A condition, and its levels: label and change."""
+
+class Plan(NamedTuple):
+    """A condition, and its levels by side, from the smallest change on: label and change."""
+
+    name: str
+    sides: dict[str, list[tuple[str, Change]]]
+
+    @property
+    def levels(self) -> list[tuple[str, Change]]:
+        """The levels of all sides."""
+        return [level for side in self.sides.values() for level in side]
+
+    @classmethod
+    def of_factors(cls, name: str, change: Callable[[float], Change]) -> Plan:
+        """A condition that multiplies a value by smaller and by larger factors."""
+        return cls(name, {side: [(f"x {factor:g}", change(factor)) for factor in factors] for side, factors in FACTORS.items()})
+
+    @classmethod
+    def one_way(cls, name: str, levels: Iterable[tuple[str, Change]]) -> Plan:
+        """A condition with one side."""
+        return cls(name, {"": list(levels)})
 
 
 def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> Iterator[Plan]:
@@ -289,25 +390,61 @@ def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> It
             own = written(root, "messages", way, "latency")
             delays = [1000 * program.world.timestep * steps for steps in LATENCY_STEPS]
             levels = [(f"+{delay:g} ms", f"{delay:g} ms" + (f" + {own}" if own else "")) for delay in delays]
-            yield words, [(label, {"messages": {way: {"latency": latency}}}) for label, latency in levels]
-        yield (
-            "message loss",
-            [(f"{loss:.0%}", {"messages": {way: {"loss": loss} for way in ("to_robot", "from_robot")}}) for loss in LOSS_RATES],
-        )
+            yield Plan.one_way(words, ((label, {"messages": {way: {"latency": latency}}}) for label, latency in levels))
+        lossy = ((f"{loss:.0%}", {"messages": {way: {"loss": loss} for way in ("to_robot", "from_robot")}}) for loss in LOSS_RATES)
+        yield Plan.one_way("message loss", lossy)
     noisy = [(f"{share:.0%} of the range", _noise(root, program, share)) for share in NOISE_SHARES]
     if all(change for _, change in noisy):
-        yield "observation noise", [(label, {"observation": change}) for label, change in noisy]
+        yield Plan.one_way("observation noise", [(label, {"observation": change}) for label, change in noisy])
     if mass := _mass(root, program, mass_of):
         yield _mass_plan(root, mass)
-    ground = "terrain" if program.world.terrain is not None else "ground"
-    if program.world.terrain is not None or program.world.ground is not None:
-        own = written(root, "world", ground, "friction") or "1"
-        yield (
-            "friction of the ground",
-            [(f"x {factor:g}", {"world": {ground: {"friction": f"{factor:g} * ({own})"}}}) for factor in MASS_FACTORS],
-        )
+    if surfaces := _surfaces(root, program):
+        yield Plan.of_factors(f"friction of {_named(surfaces)}", lambda factor: _frictions(root, surfaces.values(), factor))
     if any(entries_at(root, "robots", robot, "actuators") for robot in entries_at(root, "robots")):
-        yield "motor strength", [(f"x {factor:g}", {"robots": _strengths(root, factor)}) for factor in STRENGTH_FACTORS]
+        yield Plan.one_way("motor strength", [(f"x {factor:g}", {"robots": _strengths(root, factor)}) for factor in STRENGTH_FACTORS])
+
+
+Surface = tuple[str, str]
+"""The section and the name of a body, such as `objects`, `stair`."""
+
+
+def _surfaces(root: MappingNode, program: Program) -> dict[str, Surface]:
+    """What robots stand on, by its name in words: the ground, and fixed objects such as stairs.
+
+    In both engines the friction of a contact is the product of both coefficients, so walls, which robots should not touch, are left out.
+    """
+    surfaces: dict[str, Surface] = {}
+    if program.world.terrain is not None or program.world.ground is not None:
+        surfaces["the ground"] = ("world", "terrain" if program.world.terrain is not None else "ground")
+    copies = {copy: group.name for group in program.reset.groups for copy in group.copies}
+    for body in program.world.objects:
+        name = copies.get(body.name, body.name)
+        is_fixed = all(variant.fixed for variant in body.variants) if body.variants else body.fixed
+        if is_fixed and body.solid and name in entries_at(root, "objects"):
+            surfaces[name] = ("objects", name)
+    return surfaces
+
+
+def _named(surfaces: Iterable[str]) -> str:
+    names = list(surfaces)
+    return listed(names) if len(names) <= _MAX_NAMED else f"{names[0]} and {len(names) - 1} fixed objects"
+
+
+def _frictions(root: MappingNode, surfaces: Iterable[Surface], factor: float) -> Change:
+    """The friction of several bodies times a factor."""
+    change: dict[str, Change] = defaultdict(dict)
+    for section, name in surfaces:
+        change[section][name] = friction(root, (section, name), factor)
+    return change
+
+
+def friction(root: MappingNode, surface: Surface, factor: float) -> Change:
+    """The friction of a body, and of the variants that have one of their own, times a factor; 1 is the default."""
+    change: Change = {"friction": f"{factor:g} * ({written(root, *surface, 'friction') or '1'})"}
+    for variant in entries_at(root, *surface, "one_of"):
+        if own := written(root, *surface, "one_of", variant, "friction"):
+            change.setdefault("one_of", {})[variant] = {"friction": f"{factor:g} * ({own})"}
+    return change
 
 
 def written(root: Node | None, *path: str) -> str | None:
@@ -361,7 +498,7 @@ def _movable(root: MappingNode, program: Program) -> tuple[dict[str, float], lis
 def _mass_plan(root: MappingNode, name: str) -> Plan:
     path = ("objects", name) if name in entries_at(root, "objects") else ("robots", name.partition(".")[0], "links", name.partition(".")[2])
     own = written(root, *path, "mass") or "urdf"
-    return f"mass of {name}", [(f"x {factor:g}", _nested(path, {"mass": f"{factor:g} * ({own})"})) for factor in MASS_FACTORS]
+    return Plan.of_factors(f"mass of {name}", lambda factor: _nested(path, {"mass": f"{factor:g} * ({own})"}))
 
 
 def _mass(root: MappingNode, program: Program, name: str | None) -> str | None:
@@ -385,8 +522,9 @@ def _mass(root: MappingNode, program: Program, name: str | None) -> str | None:
     return name or max(links, key=lambda link: links[link], default=None)
 
 
-def _nested(path: Sequence[str], value: Change) -> Change:
-    return {path[0]: _nested(path[1:], value)} if path else value
+def _nested(path: Sequence[str], value: Change | str) -> Change:
+    """A change of the value at a path of keys."""
+    return {path[0]: _nested(path[1:], value) if len(path) > 1 else value}
 
 
 def _strengths(root: MappingNode, factor: float) -> Change:

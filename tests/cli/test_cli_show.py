@@ -358,7 +358,9 @@ def test_the_engine_that_steps_a_world_fastest_is_named_with_its_ratio(deepbots)
     pytest.importorskip("pybullet")
     speeds = r"\([\d,]+ against [\d,]+ steps/s\)"
     line = rf"mujoco steps this world (\d+\.\d) times as fast as pybullet {speeds}\. To use it, add the line `engine: mujoco`"
-    assert re.search(line, deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1").out)
+    shown = deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1").out
+    assert re.search(line, shown)
+    assert "Motion and results may differ; `deepbots transfer RUN` shows how much." in shown
     found = json.loads(deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1", "--json").out)["faster_engine"]
     assert (found["engine"], found["used"]) == ("mujoco", "pybullet")
     assert found["steps_per_second"] > 1.5 * found["used_steps_per_second"]

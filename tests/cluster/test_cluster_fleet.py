@@ -212,7 +212,7 @@ def test_commands_print_the_same_with_workers(
         "eval": [group, "--episodes", "5"],
         "eval run": [f"{group}/seed-0", "--episodes", "9", "--json"],
         "compare": [group, "--episodes", "5", "--json"],
-        "robustness": [f"{group}/seed-0", "--episodes", "2", "--json"],
+        "robustness": [f"{group}/seed-0", "--episodes", "2", "--min-return", "1", "--json"],
         "test": ["cartpole", "find_ball", "--json"],
     }[command]
     printed = []

@@ -12,7 +12,7 @@ import yaml
 
 from deepbots_cli import api
 from deepbots_cli.cli import main
-from deepbots_cli.insight.transfer import Gate, World, WorldComparison, _works, compare_worlds
+from deepbots_cli.insight.transfer import Gate, World, WorldComparison, _works, compare_worlds, transfer
 from deepbots_cli.learning import train
 from deepbots_cli.learning.robustness import base_document, changed_scenario
 from deepbots_cli.learning.run import Run
@@ -48,7 +48,58 @@ def cart(change: str) -> str:
     return f"robots: {{cart: {{{change}}}}}"
 
 
+def bot(change: str) -> str:
+    return f"robots: {{bot: {{{change}}}}}"
+
+
+def rover(change: str) -> str:
+    return f"robots: {{rover: {{{change}}}}}"
+
+
+HALF_TORQUE = "the action push x 0.5|motor strength x 0.5"
+"""Of a motor that gives a torque, half the action and half the strength are the same."""
 ERRORS = {
+    "late sensor of a cart": (
+        "cartpole",
+        cart("sensors: {pole_angle: {latency: 64 ms}}"),
+        r"pole_angle is 2 steps late|latency of the sensor cart.pole_angle \+64 ms",
+    ),
+    "bias of a sensor": ("cartpole", cart("emit: {pole_angle: pole_angle + 2 deg}"), "cart.pole_angle is larger by 0.0349 rad"),
+    "lag of a motor": (
+        "cartpole",
+        cart("actuators: {wheels: {time_constant: 64 ms}}"),
+        r"time constant of cart.wheels \+64 ms",
+    ),
+    "heavy pole": ("cartpole", cart("links: {pole: {mass: 2 * urdf}}"), "mass of cart.pole x 2"),
+    "halved gain of a choice": ("cartpole", cart("apply: {wheels: 0.5 * drive * wheel_speed}"), r"command of cart.wheels x 0.5"),
+    "bias of a gyro": ("balancer", bot("emit: {rate: gyro.y + 0.3 rad/s}"), "bot.rate is larger by 0.3 rad/s"),
+    "lag of motors": ("balancer", bot("actuators: {wheels: {time_constant: 20 ms}}"), r"time constant of bot.wheels \+20 ms"),
+    "halved gain of an action": ("balancer", bot("apply: {wheels: 0.5 * push * top_torque}"), HALF_TORQUE),
+    "late ground sensor": (
+        "line_follower",
+        rover("sensors: {ground: {latency: 64 ms}}"),
+        r"are 2 steps late|latency of the sensor rover.ground \+64 ms",
+    ),
+    "bias of a ground sensor": ("line_follower", rover("emit: {ground: ground - 0.1}"), "rover.ground.left is larger by -0.1; "),
+    "sign of a side": (
+        "line_follower",
+        rover("emit: {side: 'hold(ground.left - ground.right, abs(ground.right - ground.left) > 0.3)'}"),
+        "rover.side has the other sign",
+    ),
+    "lag of both wheels": (
+        "line_follower",
+        rover("actuators: {left_wheel: {time_constant: 64 ms}, right_wheel: {time_constant: 64 ms}}"),
+        r"time constant of all actuators \+64 ms",
+    ),
+    "heavy rover": ("line_follower", rover("links: {base_link: {mass: 2 * urdf}}"), "mass of rover.base_link x 2"),
+    "halved gain of turns": (
+        "line_follower",
+        rover(
+            "apply: {left_wheel: 'clamp(gas - 0.5 * turn, -1 .. 1) * top_speed', "
+            "right_wheel: 'clamp(gas + 0.5 * turn, -1 .. 1) * top_speed'}"
+        ),
+        "the action turn x 0.5",
+    ),
     "sign of a sensor": ("cartpole", cart("emit: {pole_angle: -1 * pole_angle}"), "cart.pole_angle has the other sign"),
     "unit of a sensor": ("cartpole", cart("emit: {pole_angle: 57.29578 * pole_angle}"), "cart.pole_angle is in degrees"),
     "late messages from the robot": ("cartpole", "messages: {from_robot: {latency: 64 ms}}", "pole_angle is 2 steps late"),
@@ -60,7 +111,7 @@ ERRORS = {
     "weak motors": (
         "balancer",
         "robots: {bot: {actuators: {wheels: {strength: 0.5 * uniform(0.9 .. 1.1)}}}}",
-        "motor strength x 0.5",
+        HALF_TORQUE,
     ),
     "mass of a body": ("balancer", "robots: {bot: {links: {body: {mass: 1.5 * urdf}}}}", "mass of bot.body x 1.5"),
     "late sensor": ("balancer", "robots: {bot: {sensors: {gyro: {latency: 20 ms}}}}", "late|latency of the sensor bot.gyro 20 ms"),
@@ -95,10 +146,10 @@ ERRORS = {
         "the action turn has the other sign",
     ),
 }
-"""Twenty errors of a world: the scenario, its change, and what must be named first."""
+"""Errors of a world: the scenario, its change, and what must be named first."""
 
 
-@pytest.mark.parametrize("error", few(list(ERRORS), ["sign of a sensor", "friction"]))
+@pytest.mark.parametrize("error", few(list(ERRORS), ["sign of a sensor", "friction", "halved gain of an action"]))
 def test_an_error_is_named_first(run_of: Any, error: str) -> None:
     name, change, expected = ERRORS[error]
     found = compared(run_of(name), yaml.safe_load(change))
@@ -133,6 +184,23 @@ def test_the_command_compares_engines_and_is_a_gate(run_of: Any, capsys: pytest.
     assert "the changes are alternatives" in shown
     assert main(["transfer", path, "--quick", "--engine", "pybullet"]) == 2
     assert "was trained in pybullet; name the other engine" in capsys.readouterr().err
+
+
+def test_a_value_of_the_other_world_can_be_set_and_a_piped_output_holds_no_progress(
+    run_of: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = str(run_of("cartpole").path)
+    assert main(["transfer", path, "--set", "world.ground.friction=0.5", "--quick", "--episodes", "2"]) == 0
+    shown = capsys.readouterr()
+    assert "from CartPole to CartPole, changed (pybullet) (--set world.ground.friction=0.5)" in shown.out
+    assert "friction of the ground x 0.5" in shown.out
+    assert shown.err == ""
+
+
+def test_a_quick_transfer_ends_long_evaluations_after_eight_episodes(run_of: Any) -> None:
+    found = transfer(run_of("cartpole"), engine="pybullet", max_steps=1, with_conditions=False)
+    assert (found.here.episodes, found.there.episodes) == (8, 8)
+    assert [episode.seed for episode in found.here.outcomes] == [episode.seed for episode in found.there.outcomes]
 
 
 def test_whether_a_policy_works_follows_from_the_requirements_or_from_solved() -> None:

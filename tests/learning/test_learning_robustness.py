@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import stand_in
 
 from deepbots_cli import api
+from deepbots_cli.cli import main
 from deepbots_cli.cli.records import robustness_text
 from deepbots_cli.document import Document, load
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import TrainingResult, evaluate_robustness
-from deepbots_cli.learning.robustness import Change, _bar, base_document, changed_scenario, plans
+from deepbots_cli.learning.robustness import Change, RobustnessLevel, Side, _bar, base_document, changed_scenario, plans
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program, identity
 from deepbots_cli.rollout.source import Source
@@ -24,7 +27,7 @@ def changes(name: str, case: str | None = None, stage: str | None = None) -> tup
     base = base_document(Source.open(name), (), case, stage)
     assert base.root is not None
     program = api.compile(name).program.variant(case, stage)
-    return base, {condition: dict(levels) for condition, levels in plans(base.root, program)}
+    return base, {plan.name: dict(plan.levels) for plan in plans(base.root, program)}
 
 
 def masses(program: Program) -> list[float]:
@@ -84,7 +87,7 @@ def test_in_a_case_or_stage_its_settings_apply_before_the_changes(name: str, cas
         return changed_scenario(base, change).program.variant(case, stage)
 
     assert identity.task_digest(variant({})) == identity.task_digest(plain)
-    assert "friction of the ground" in found
+    assert any(condition.startswith("friction of the ground") for condition in found)
     for levels in found.values():
         assert identity.task_digest(variant([*levels.values()][-1])) != identity.task_digest(plain)
 
@@ -93,8 +96,8 @@ def test_the_link_or_object_whose_mass_is_changed_can_be_named(trained: Training
     for scenario, name in (("cartpole", "cart.pole"), ("panda_push", "block")):
         base = base_document(Source.open(scenario))
         assert base.root is not None
-        found = dict(plans(base.root, api.compile(scenario).program, name))
-        assert changed_scenario(base, dict(found[f"mass of {name}"])["x 2"]).digest != api.compile(scenario).digest
+        (plan,) = (plan for plan in plans(base.root, api.compile(scenario).program, name) if plan.name == f"mass of {name}")
+        assert changed_scenario(base, dict(plan.levels)["x 2"]).digest != api.compile(scenario).digest
     with pytest.raises(UsageError, match=r"there is no link or object 'cart.poel' with a mass; choose from: cart\.body, "):
         evaluate_robustness(trained.run, mass_of="cart.poel", build=stand_in.build)
 
@@ -132,7 +135,7 @@ def test_the_mass_of_what_is_fixed_to_the_world_is_not_varied(tmp_path: Path) ->
     (tmp_path / "arm.urdf").write_text(URDF)
     root, program = load(tmp_path / "arm.yaml").root, api.compile(tmp_path / "arm.yaml").program
     assert root is not None
-    assert [name for name, _ in plans(root, program) if name.startswith("mass")] == ["mass of arm.rod"]
+    assert [plan.name for plan in plans(root, program) if plan.name.startswith("mass")] == ["mass of arm.rod"]
     for name in ("arm.post", "wall"):
         with pytest.raises(UsageError, match=f"'{name}' is fixed to the world, so its mass has no effect; choose from: arm.rod$"):
             list(plans(root, program, name))
@@ -146,18 +149,88 @@ def test_a_policy_is_measured_against_a_bar_at_every_level(trained: TrainingResu
     assert (found.metric, found.bar, found.bar_source) == ("mean_return", 1.0, "given")
     levels = [entry for condition in found.conditions for entry in condition.levels]
     assert told[-1] == (1 + len(levels), 1 + len(levels))
-    assert {condition.threshold.partition(";")[0] for condition in found.conditions} == {"meets the requirement at all levels"}
+    assert found.conditions[0].verdicts == {"latency to the robot": "holds up to +256 ms"}
+    assert {condition.name: [side.holds_up_to for side in condition.sides] for condition in found.conditions}["mass of cart.body"] == [
+        "x 0.5",
+        "x 2",
+    ]
     starts = {tuple(episode.seed for episode in entry.evaluation.outcomes) for entry in levels}
     assert starts == {tuple(episode.seed for episode in found.nominal.outcomes)}
     brief: dict[str, Any] = {"episodes": 1, "overrides": ["truncation.max_steps=5"], "build": stand_in.build}
     strict = evaluate_robustness(trained.run, min_return=1e6, **brief)
     # A single episode has no interval.
-    assert {condition.threshold for condition in strict.conditions} == {
-        "misses the requirement at all levels; not significant at all levels"
-    }
+    assert strict.conditions[0].verdicts == {"latency to the robot": "fails from +32 ms (not significant)"}
     assert (found.nominal_holds, strict.nominal_holds) == (True, False)
     assert (found.nominal_certain, strict.nominal_certain) == (True, False)
-    assert "missed, not significant" in robustness_text(strict).splitlines()[4]  # the row without any change
+    assert re.search(r"\(no change\) .* missed, not significant", robustness_text(strict))
     assert "even without any change; set another one with --min-return" in robustness_text(strict)
     assert "set another one" not in robustness_text(found)
     assert _bar(Run.open(trained.run).program, found.nominal, None, None)[1] == 195.0
+
+
+def side(**levels: tuple[float, float, float]) -> Side:
+    """Levels of a latency with a score, and the ends of its interval; the required score is 0.8."""
+    return Side(
+        "",
+        tuple(
+            RobustnessLevel(f"+{name[1:]} ms", SimpleNamespace(), score >= 0.8, not low <= 0.8 <= high, (low, high))  # type: ignore[arg-type]
+            for name, (score, low, high) in levels.items()
+        ),
+    )
+
+
+def test_a_level_that_is_easier_than_a_smaller_one_within_the_intervals_is_no_threshold() -> None:
+    found = side(l10=(0.95, 0.85, 0.99), l20=(0.76, 0.62, 0.86), l40=(0.84, 0.7, 0.93), l80=(0.1, 0.05, 0.2))
+    assert found.verdict == (
+        "holds up to +10 ms, fails from +80 ms; not decided at +20 ms and +40 ms, which do not differ within their intervals"
+    )
+    assert (found.holds_up_to, found.fails_from) == ("+10 ms", "+80 ms")
+    apart = side(l20=(0.5, 0.4, 0.6), l40=(0.9, 0.85, 0.97))
+    assert apart.verdict == "fails at +20 ms but holds at +40 ms: here, a larger change is not always harder"
+
+
+def test_the_verdict_says_up_to_where_it_is_sure() -> None:
+    found = side(l10=(0.95, 0.85, 0.99), l20=(0.84, 0.7, 0.93), l40=(0.76, 0.62, 0.86), l80=(0.1, 0.05, 0.2))
+    assert found.verdict == "holds up to +20 ms (up to +10 ms for sure), fails from +40 ms (from +80 ms for sure)"
+
+
+def test_half_the_mass_and_more_mass_are_two_sides_each_from_the_smallest_change_on() -> None:
+    base = base_document(Source.open("cartpole"))
+    assert base.root is not None
+    sides = {plan.name: plan.sides for plan in plans(base.root, api.compile("cartpole").program)}
+    for name in ("mass of cart.body", "friction of the ground"):
+        assert {side: [label for label, _ in levels] for side, levels in sides[name].items()} == {
+            "smaller": ["x 0.75", "x 0.5"],
+            "larger": ["x 1.25", "x 1.5", "x 2"],
+        }
+
+
+STAIR = "{stair: {shape: box, size: 1 1 0.1 m, fixed: true, friction: 0.8}, mark: {shape: sphere, radius: 1 cm, fixed: true, solid: false}}"
+
+
+def test_the_friction_of_a_stair_varies_with_that_of_the_ground_and_is_named() -> None:
+    source = Source.open("cartpole")
+    base = base_document(source, [f"objects={STAIR}"])
+    assert base.root is not None
+    program = api.compile(source.checked(overrides=[f"objects={STAIR}"])).program
+    (plan,) = (plan for plan in plans(base.root, program) if plan.name.startswith("friction"))
+    assert plan.name == "friction of the ground and stair"
+    world = changed_scenario(base, dict(plan.levels)["x 0.5"]).program.world
+    assert world.ground is not None
+    assert (world.ground.friction, {body.name: body.friction for body in world.objects}) == (0.5, {"stair": 0.4, "mark": 1.0})
+
+
+def test_a_policy_that_fails_without_any_change_has_nothing_to_keep(
+    trained: TrainingResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = (trained.run / "resolved.yaml").read_text()
+    without_solved = re.sub(r"(?m)^solved:.*\n", "", kept).replace("inputs/robots/urdf/cartpole.urdf", "cartpole")
+    hard = tmp_path / "hard.yaml"
+    hard.write_text(without_solved.replace("failure:", "success: {far: abs(x) > 1 m}\n  failure:"))
+    options = ["--scenario", str(hard), "--engine", "mujoco", "--episodes", "2"]
+    assert main(["robustness", str(trained.run), *options]) == 1
+    shown = capsys.readouterr().out
+    assert "nothing to keep: without any change, the success rate is 0.0%" in shown
+    assert "required" not in shown
+    found = evaluate_robustness(trained.run, episodes=2, scenario=hard, engine="mujoco")
+    assert (found.bar, found.nominal_holds, found.conditions) == (None, False, ())

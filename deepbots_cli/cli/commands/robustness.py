@@ -22,6 +22,7 @@ from deepbots_cli.cli.command import (
     option,
 )
 from deepbots_cli.cli.commands.eval import Gates
+from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.learning.run import ModelRef
@@ -64,11 +65,12 @@ def command(
     """Evaluate a policy with sensor noise, delays and weaker motors.
 
     deepbots changes one condition at a time, by several amounts. The conditions are latency, message loss, noise, mass, friction and the
-    strength of the motors. All evaluations begin with the same held-out starts. The table shows the level of each condition at which the
-    result falls below the required one.
+    strength of the motors. All evaluations begin with the same held-out starts. For each condition, the first lines say up to which level
+    the result reaches the required one, and from which level on it does not. Masses and frictions are made smaller and larger.
 
     --min-success or --min-return gives the required result. By default it is `solved` of the scenario. If the scenario has no
-    `solved`, it is 80 % of the result under unchanged conditions.
+    `solved`, it is 80 % of the result under unchanged conditions. The exit code is 1 if the policy misses the required result without any
+    change, or has nothing to keep: no result is required, and no episode succeeds.
 
     With --workers N, N evaluations run at a time, each in a process of its own, with the same results.
 
@@ -101,3 +103,5 @@ def command(
             spread=spread,
         )
     terminal.show(records.robustness_json(found), records.robustness_text(found), as_json=as_json)
+    if not found.nominal_holds:
+        raise typer.Exit(FAILED)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import inf
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deepbots_cli import api
+from deepbots_cli.api import Compiled
 from deepbots_cli.cli import processes, records, terminal
 from deepbots_cli.cli.command import ADVANCED, MAX_SEED, ClusterAddress, Json, Workers, fraction, integer, known_engine, option
 from deepbots_cli.cli.commands.eval import Gates
@@ -19,10 +22,14 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import ModelRef
+from deepbots_cli.learning.run import ModelRef, Run
+from deepbots_cli.rollout.source import Source, SourceKind
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.transfer import Transfer
+
+DEFAULT_EPISODES, QUICK_STEPS = 50, 2_000
+"""Episodes of each evaluation, and the steps after which those of `--quick` end."""
 
 
 def command(
@@ -40,13 +47,24 @@ def command(
     scenario: Annotated[
         str | None, option("--scenario SCENARIO", "The other world: a scenario with the same observation, action and messages.")
     ] = None,
+    overrides: Annotated[
+        list[str] | None,
+        option("--set PATH=VALUE", "Override a value in the other world, such as world.ground.friction=0.5; may be repeated."),
+    ] = None,
     min_success: Annotated[
         float | None,
         option("--min-success RATE", "Success rate required in both worlds, such as 0.8 or 80%.", parser=fraction),
     ] = None,
     min_return: Annotated[float | None, option("--min-return VALUE", "Mean return required in both worlds.")] = None,
-    episodes: Annotated[int, integer("--episodes N", "Episodes of each evaluation.")] = 50,
-    quick: Annotated[bool, option("--quick", "Leave out the evaluations with noise, delays, other masses and weaker motors.")] = False,
+    episodes: Annotated[int | None, integer("--episodes N", "Episodes of each evaluation; by default 50.")] = None,
+    quick: Annotated[
+        bool,
+        option(
+            "--quick",
+            "Leave out the evaluations with noise, delays, other masses and weaker motors. Without --episodes, the two others end after"
+            f" {QUICK_STEPS:,} steps, but not before 8 episodes.",
+        ),
+    ] = False,
     log: Annotated[Path | None, option("--log FILE", "Compare an MCAP log of `deepbots serve` with the simulation instead.")] = None,
     seed: Annotated[
         int | None, integer("--seed N", "Root seed of the starts; by default the seed of the training.", 0, MAX_SEED, ADVANCED)
@@ -58,12 +76,17 @@ def command(
 ) -> None:
     """Check that a policy works in another engine or world.
 
-    The policy is evaluated on the same held-out starts in the world of its training and in the other one. The first line says whether it
-    works in both: it reaches --min-success and --min-return, or else `solved` of the scenario. Then the other world repeats episodes of
-    the first one, with the same starts and actions. The table shows which numbers of the observation and which reward terms differ, and
-    from which step on. Below it are changes of the first world that explain the difference: a wrong sign, unit or order, a latency, a
-    mass, a friction or a weaker motor. They are alternatives, whose shares do not add up. Finally, the policy is evaluated under changed
-    conditions, as by `deepbots robustness`.
+    The other world is the same scenario in the other engine. --scenario and --set replace it by another scenario or by changed values, in
+    the engine of the training.
+
+    The policy is evaluated on the same held-out starts in the world of its training and in the other one. The
+    first line says whether it works in both: it reaches --min-success and --min-return, or else `solved` of
+    the scenario. Then the other world repeats episodes of the first one, with the same starts and actions.
+    The table shows which numbers of the observation and which reward terms differ, and from which step on.
+    Below it are changes of the first world that explain the difference: a wrong sign, unit or order, a
+    latency, a lag, a mass, a friction, a weaker motor, or another gain of an action. They are alternatives,
+    whose shares do not add up. Finally, the policy is evaluated under changed conditions, as by `deepbots
+    robustness`.
 
     With --min-success or --min-return, the exit code is 1 if the policy misses it in one of the two worlds, or at the first level of one
     of the conditions.
@@ -75,6 +98,7 @@ def command(
       deepbots transfer runs/cartpole-0-1
       deepbots transfer runs/cartpole-0-1 runs/cartpole-mujoco-0-1 --min-success 90%
       deepbots transfer runs/cartpole-0-1 --scenario measured.yaml --quick
+      deepbots transfer runs/cartpole-0-1 --set world.ground.friction=0.5
       deepbots transfer runs/cartpole-0-1 --log robot.mcap
 
     Next: let episodes draw what differs, such as `mass: uniform(0.8 .. 1.2) * urdf` under `links`, and train again.
@@ -83,26 +107,30 @@ def command(
     for ref in opened:
         Gates(min_success, min_return, False).check(ref.run.program)
     if log is not None:
-        _compare_log(opened, log, as_json=as_json, others=(engine, scenario, min_success, min_return))
+        _compare_log(opened, log, as_json=as_json, others=(engine, scenario, overrides, min_success, min_return))
         return
     with terminal.transient_line("loading the policy ..."):
         from deepbots_cli.insight.transfer import transfer  # which imports torch
     found = []
     for ref in opened:
         run = ref.run
-        other = engine or (run.record.engine if scenario is not None else _other_engine(run.record.engine))
-        if scenario is None and other == run.record.engine:
-            raise UsageError(f"{run.path} was trained in {other}; name the other engine with --engine, or another world with --scenario")
-        with processes.spread(workers, address) as spread, terminal.progress("worlds") as show:
+        judged = _other_scenario(run, scenario, overrides or (), permissions)
+        other = engine or (run.record.engine if judged is not None else _other_engine(run.record.engine))
+        if judged is None and other == run.record.engine:
+            raise UsageError(
+                f"{run.path} was trained in {other}; name the other engine with --engine, or another world with --scenario or --set"
+            )
+        with processes.spread(workers, address) as spread, terminal.progress("worlds", always=False) as show:
             found.append(
                 transfer(
                     run,
                     model=ref.name,
                     engine=other,
-                    scenario=None if scenario is None else api.compile(scenario, permissions=permissions),
+                    scenario=judged,
                     min_success=min_success,
                     min_return=min_return,
-                    episodes=episodes,
+                    episodes=episodes or DEFAULT_EPISODES,
+                    max_steps=QUICK_STEPS if quick and episodes is None else inf,
                     with_conditions=not quick,
                     seed=seed,
                     permissions=permissions,
@@ -146,16 +174,23 @@ def _compare_log(refs: Sequence[ModelRef], path: Path, *, as_json: bool, others:
     terminal.show([each._asdict() for each in found], *lines, as_json=as_json)
 
 
+def _other_scenario(run: Run, scenario: str | None, overrides: Sequence[str], permissions: Permissions) -> Compiled | None:
+    """The scenario of the other world, where it is not that of the run."""
+    if scenario is None and not overrides:
+        return None
+    source = Source.kept(run.path, permissions) if scenario is None else Source.open(scenario, permissions, SourceKind.SCENARIO)
+    return api.compile(source, overrides=overrides, permissions=permissions)
+
+
 def _other_engine(name: str) -> str:
     return next((other for other, kind in ENGINES.own.items() if other != name and kind.is_installed), name)
 
 
 def _lines(found: Transfer) -> list[str]:
     here, there = found.names
-    lines = [
-        _verdict(found),
-        f"\ntransfer of {found.run}: from {here} to {there}, {found.here.episodes} held-out starts from seed {found.here.seed}",
-    ]
+    changed = f" ({' '.join(f'--set {quote(text)}' for text in found.there.set)})" if found.there.set else ""
+    starts = f"{found.here.episodes} held-out starts from seed {found.here.seed}"
+    lines = [_verdict(found), f"\ntransfer of {found.run}: from {here} to {there}{changed}, {starts}"]
     worlds = ((here, found.here), (there, found.there))
     lines.append(table([{"world": name, **records.scores(result)} for name, result in worlds]))
     compared = found.comparison
@@ -184,9 +219,11 @@ def _lines(found: Transfer) -> list[str]:
         lines.append(table([{"change": cause.text, "explains": percent(cause.explained)} for cause in compared.causes[:5]]))
         lines.append("explains: share of the squared differences that vanishes with this change alone; the changes are alternatives, whose")
         lines.append("shares do not add up")
+    elif compared.differences and not compared.observation_differs:
+        lines.append("\nno number of the observation differs, so no cause can be found")
     elif compared.differences:
-        lines.append("\nno change that was tried explains it: order, sign, unit and age of numbers, order and sign of actions, latencies,")
-        lines.append("weaker motors, and one mass (with its inertia) or friction at a time, x 0.5 to 2")
+        lines.append("\nno change that was tried explains it: order, sign, unit and age of numbers, order, sign and gain of actions,")
+        lines.append("latencies, time constants, weaker motors, and one mass (with its inertia) or friction at a time, x 0.5 to 2")
     if found.robustness is not None:
         lines += ["", records.robustness_text(found.robustness)]
     lines += [f"{'passed' if each.met else 'failed'}: {each.text}" for each in found.gates]
