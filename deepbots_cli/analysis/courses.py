@@ -155,7 +155,7 @@ def _ways_to_count(analysis: Analysis, counted: tuple[State, bool], *, above: bo
 
 
 class Course(Ranges):
-    """The ranges of values in the timesteps of a course; `advance` moves to the next one.
+    """The ranges of values in the timesteps of a course; `follow` moves to the next one.
 
     `flags` are the truth values of `terminated`, `truncated` and `ended`; endings have those of their conditions.
     """
@@ -181,7 +181,7 @@ class Course(Ranges):
         self._same = {analysis.identity(part): key for part, key in same if key is not None}
         """Other measures of a distance that the course fixes."""
 
-    def advance(self, values: Mapping[int, Interval]) -> None:
+    def follow(self, values: Mapping[int, Interval]) -> None:
         """Move to a timestep in which the quantities have these values."""
         self._values, self._flags = values, _GOES_ON
         self._now = {}

@@ -27,6 +27,10 @@ MAX_DEPTH = 64
 # The largest shipped scenario has 500.
 MAX_NODES = 8_000
 MAX_EXPANDED = 8_000
+_TOO_DEEP = f"values are nested more than {MAX_DEPTH} deep"
+_TOO_DEEP_PROBLEM = "exceeded maximum nesting depth"
+"""What the parser says of 1,000 open brackets, from PyYAML 6.0.4 on: it reads them before it hands out an event."""
+_LIMIT_HELP = "simplify the file; ordinary scenarios are far below this limit"
 
 Event = Any  # the stubs of PyYAML allow events without marks
 LOADER: Any = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
@@ -69,8 +73,12 @@ def parse(source: Source, findings: Findings, budget: Budget | None = None, *, t
     try:
         return _Builder(source, text, noticed, budget or Budget()).document()
     except MarkedYAMLError as error:
-        broken = hints.syntax_error_finding(source, error)
-        findings.append(broken)
+        if error.problem == _TOO_DEEP_PROBLEM and error.problem_mark is not None:
+            place = error.problem_mark.index
+            findings.add("DB005", Span(source, place, place), _TOO_DEEP, _LIMIT_HELP)
+        else:
+            broken = hints.syntax_error_finding(source, error)
+            findings.append(broken)
     except _OverLimitError:
         pass
     finally:
@@ -126,7 +134,7 @@ class _Builder:
         if isinstance(event, ScalarEvent):
             node = self.value(event)
         elif depth >= MAX_DEPTH:
-            self.stop(event, f"values are nested more than {MAX_DEPTH} deep")
+            self.stop(event, _TOO_DEEP)
         else:
             node = self.mapping(event, depth) if isinstance(event, MappingStartEvent) else self.sequence(event, depth)
         return self.anchored(event, node)
@@ -159,7 +167,7 @@ class _Builder:
         if self.budget.expanded < 0:
             self.stop(event, f"aliases expand to more than {MAX_EXPANDED:,} values")
         if depth + height > MAX_DEPTH:
-            self.stop(event, f"values are nested more than {MAX_DEPTH} deep")
+            self.stop(event, _TOO_DEEP)
         return node
 
     def value(self, event: Event) -> ScalarNode | None:
@@ -274,7 +282,7 @@ class _Builder:
             self.stop(event, f"the scenario has more than {MAX_NODES:,} values")
 
     def stop(self, event: Event, headline: str) -> NoReturn:
-        self.findings.add("DB005", self.span(event), headline, "simplify the file; ordinary scenarios are far below this limit")
+        self.findings.add("DB005", self.span(event), headline, _LIMIT_HELP)
         raise _OverLimitError
 
 

@@ -9,6 +9,7 @@ scenario_facts.py  what a scenario has already, and the units of its file; linte
 diagnosis.py   the table of causes why a training does not learn, with those of the learner; rewards.py those of the reward,
                observations.py of the observation, stages.py of stages, starts and rare success, teachers.py of scripts,
                missed.py of a condition that is missed, ends.py of the end
+collapse.py    the cause of a training that falls apart
 robot_log.py   the log of a robot beside the simulation: values with another distribution
 transfer.py    what differs between two worlds of a scenario, such as two engines, and which change explains it
 retry.py       trainings that follow one another with the values that the diagnosis advises

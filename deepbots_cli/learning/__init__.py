@@ -11,6 +11,7 @@ checkpoint_files.py  the files of a checkpoint, and what they may hold
 callbacks.py     what happens during training: evaluations, the best model, scalars, when to stop
 order.py         which of two policies is better, and the best models of a training
 keeping.py       the best model of a run, chosen again on new starts or by hand
+decline.py       whether the last evaluations of a training are worse than earlier ones
 confirmation.py  when a training may stop because its task is solved
 environments.py  how worlds are made: one by one, or as a batch
 shards.py        the worlds of a training, and shards of them with a copy of the policy

@@ -184,9 +184,9 @@ class _Search:
         """For how many timesteps the values of success do not yet end the episode; 0 where nothing ends it."""
         course = self._course({**base, **near}, is_moving=False)
         for _ in range(2):
-            course.advance(base)
+            course.follow(base)
         for count in range(_MAX_HELD):
-            course.advance(near)
+            course.follow(near)
             if course.of(self._condition).high > 0.0:
                 return count
         return 0
@@ -267,7 +267,7 @@ class _Search:
         for turn in range(turns):
             for values, count in cycle.phases:
                 for _ in range(count):
-                    course.advance(values)
+                    course.follow(values)
                     if self._ends(course):
                         return None
                     if turn == turns - 1:
@@ -292,7 +292,7 @@ class _Search:
     def _finishing(self, course: Course, finish: Values) -> float | None:
         paid = 0.0
         for _ in range(_MAX_HELD):
-            course.advance(finish)
+            course.follow(finish)
             is_reached = course.of(self._condition).high > 0.0
             if is_reached:
                 course.end({"terminated": ALWAYS, "ended": ALWAYS})

@@ -81,6 +81,8 @@ def command(
     if overrides or allow_paths:
         raise UsageError("--set and --allow-path need --check SCENARIO; a run is always exported as it was trained")
     model = "last" if last else "best"
+    if out is not None:
+        check_new_folder(out, force=force)
     opened = Source.open(source, Permissions(), SourceKind.RUN, SourceKind.CHECKPOINT)
     named = "" if opened.model is None else f"-{opened.model}"
     folder = out or Path(f"{opened.path.resolve().name}{named}-{to.value}")
