@@ -69,7 +69,7 @@ class Decline:
         name = "success rate" if self.measure == "success_rate" else "mean return"
         best, last = map("{:.0%}".format if self.measure == "success_rate" else "{:.4g}".format, (self.best_value, self.last_value))
         return (
-            f"the training fell apart: the {name} of its evaluations fell from {best} at {self.best_steps:,} steps to {last}"
+            f"the training got worse: the {name} of its evaluations fell from {best} at {self.best_steps:,} steps to {last}"
             f" in the last quarter ({self.last_episodes:,} episodes), after about {self.since_steps:,} steps"
         )
 

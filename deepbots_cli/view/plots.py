@@ -405,7 +405,7 @@ def plot_decline(returns: Axes | None, successes: Axes | None, log: TrainingLog)
     is_late = log.returns is not None and fall.since_steps > 0.7 * log.returns[0][-1]  # the text has no room at its right
     panel.axvline(fall.since_steps, color=DECLINE_COLOR, linewidth=1.2, linestyle="--")
     panel.annotate(
-        f"fell apart: {best} to {last}",
+        f"got worse: {best} to {last}",
         (fall.since_steps, 0.03),
         (-3 if is_late else 3, 0),
         xycoords=("data", "axes fraction"),

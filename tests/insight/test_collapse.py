@@ -73,7 +73,7 @@ def test_the_setting_that_is_far_from_usual_comes_first(short, settings, path, a
     assert first.evidence["suspects"][0]["path"] == path
     assert first.settings == {path: advised}
     assert f"`{path}: {advised}`" in first.advice
-    assert first.text.startswith("The training fell apart: the mean return of its evaluations fell from 200 at 36,000 steps")
+    assert first.text.startswith("The training got worse: the mean return of its evaluations fell from 200 at 36,000 steps")
 
 
 def test_large_rewards_are_named(short):
@@ -151,7 +151,7 @@ def fallen(short, tmp_path) -> Path:
 
 
 def test_every_command_prints_the_same_sentence(fallen, tmp_path, capsys):
-    sentence = "the training fell apart: the mean return of its evaluations fell from 200 at 36,000 steps to"
+    sentence = "the training got worse: the mean return of its evaluations fell from 200 at 36,000 steps to"
     assert main(["runs", str(fallen.parent)]) == 0
     assert f"fallen: {sentence}" in capsys.readouterr().err
     assert main(["runs", str(fallen.parent), "--json"]) == 0
