@@ -61,6 +61,12 @@ OFF_POLICY_FACTOR = 5.0
 """An off-policy algorithm may take so many times more: its steps take 10 to 20 times as long as those of an evaluation."""
 
 
+MET_IN_A_ROW, OFF_POLICY_MET_IN_A_ROW = 1, 2
+"""Evaluations in a row that meet `solved` before a confirmation. The network of an off-policy algorithm changes in every
+step: of 8 trainings of FindBall with TD3, 2 had 20 of 20 successes after 2,528 steps, and 94 % of new starts. Such an early
+confirmation takes 16 times the steps of the training so far, and delays the next one."""
+
+
 class Interruption:
     """Whether someone wants the training to end: Ctrl-C or SIGTERM."""
 
@@ -235,6 +241,7 @@ class CallbackState(BaseModel, strict=True, allow_inf_nan=False):
     candidates: Annotated[list[Candidate], Field(max_length=SHORTLIST)] = []
     confirmations: Annotated[int, Field(ge=0, le=100_000)] = 0
     confirmation_steps: NonNegativeInt = 0
+    met_in_a_row: Annotated[int, Field(ge=0, le=100_000)] = 0
     returns: tuple[float, float] | None = None
     evaluated_at: Annotated[int, Field(ge=-1)]
     evaluation_steps: NonNegativeInt
@@ -287,7 +294,7 @@ class TrainingCallback:
         self.defines_success = run.program.defines_success
         self._on_evaluation = on_evaluation
         self._until_solved = run.record.stop_when_solved
-        self._confirmations, self._confirmation_steps = 0, 0
+        self._confirmations, self._confirmation_steps, self._met_in_a_row = 0, 0, 0
         self._returns: Interval | None = None
         self._kept_candidates: Sequence[Candidate] = ()
         self._activity = ""
@@ -330,6 +337,7 @@ class TrainingCallback:
             candidates=self.shortlist.candidates,
             confirmations=self._confirmations,
             confirmation_steps=self._confirmation_steps,
+            met_in_a_row=self._met_in_a_row,
             returns=self._returns,
             evaluated_at=self._evaluated_at,
             evaluation_steps=self.evaluator.steps,
@@ -340,6 +348,7 @@ class TrainingCallback:
         self._next_check = state.next_beat
         self._confirmations, self._confirmation_steps = state.confirmations, state.confirmation_steps
         self._returns, self._evaluated_at = state.returns, state.evaluated_at
+        self._met_in_a_row = state.met_in_a_row
         self._kept_candidates = state.candidates
         # Older versions spent up to half of the steps on evaluations: without a limit, none would follow for long.
         self.evaluator.steps = min(state.evaluation_steps, round(URGENT_SHARE * OFF_POLICY_FACTOR * self.statistics.steps))
@@ -392,6 +401,7 @@ class TrainingCallback:
         """Returns of one stage say nothing in another: the best is sought anew."""
         self.shortlist.clear()
         self._returns = None
+        self._met_in_a_row = 0
         self.statistics.begin_anew()
 
     def progress(self) -> TrainingProgress:
@@ -490,7 +500,9 @@ class TrainingCallback:
         if self._on_evaluation is not None:
             self.stopped_by = self._on_evaluation(self.run.path)
         self._report()
-        if meets and self.curriculum.is_last and statistics.solved_at is None:
+        self._met_in_a_row = self._met_in_a_row + 1 if meets else 0
+        required = OFF_POLICY_MET_IN_A_ROW if self.learner.is_off_policy else MET_IN_A_ROW
+        if self._met_in_a_row >= required and self.curriculum.is_last and statistics.solved_at is None:
             self._confirm(scenario, stage)
         self.evaluation_seconds += time.monotonic() - began
         if self.curriculum.add_evaluation(summary.mean_return, summary.success_rate, steps, statistics.episodes):
