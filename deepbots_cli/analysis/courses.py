@@ -1,14 +1,15 @@
 """The values of a program along an assumed course of some quantities, timestep by timestep, without a simulated world.
 
-A `Course` fixes quantities, such as a distance, in each timestep. Every other fact of the world keeps one value that is not known: it
-stands for all values of its range, and it never changes. So `delta` of it is 0, and speeds are 0. `ways` solves a condition: which values
+A `Course` fixes quantities, such as a distance, and the clock in each timestep. Every other fact of the world keeps one value that is not
+known: it stands for all values of its range, and it never changes. So `delta` of it is 0, and speeds are 0. `ways` solves a condition: which values
 of the compared quantities make it true, or false.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice, product
+from math import floor, isfinite
 from typing import NamedTuple
 
 from deepbots_cli.analysis import Analysis
@@ -174,6 +175,7 @@ class Course(Ranges):
         self._is_varied: dict[int, bool] = {}
         self._constant: dict[int, Interval] = {}
         self._tick = analysis.program.world.timestep
+        self._ticks = self.steps[0] * analysis.program.action_repeat
         parts = [part for tree in watched for part in analysis.walk_definitions(tree)]
         self._states = {analysis.identity(part): part for part in parts if isinstance(part, State)}
         pairs = {pair: key for key, node in quantities.items() if (pair := analysis.distance_pair(node)) is not None}
@@ -184,10 +186,42 @@ class Course(Ranges):
     def follow(self, values: Mapping[int, Interval]) -> None:
         """Move to a timestep in which the quantities have these values."""
         self._values, self._flags = values, _GOES_ON
+        self._set_clock(self._ticks + 1.0)
         self._now = {}
         self._forget()
         for state in self._states.values():
             self.of(state)
+
+    def _set_clock(self, ticks: float) -> None:
+        repeat = self.analysis.program.action_repeat
+        self._ticks = min(ticks, self.steps[1] * repeat)
+        self.given = {**self.given, "time": single(self._ticks * self._tick), "step": single(float(floor(self._ticks / repeat)))}
+
+    @property
+    def memories(self) -> Mapping[int, Interval]:
+        """What each memory keeps, by its identity."""
+        return dict(self._memory)
+
+    def skip(self, since: Mapping[int, Interval], rounds: float, ticks: int) -> None:
+        """Skip rounds of so many timesteps, in each of which a memory changes as much as since these `memories`."""
+        for identity, now in self._memory.items():
+            before = since.get(identity, now)
+            state = self._states.get(identity)
+            if state is not None and state.function == "low_pass":  # comes to rest instead
+                continue
+            low, high = (end + rounds * (end - start) for end, start in zip(now, before, strict=True))
+            if isfinite(low) and isfinite(high) and low <= high:
+                self._memory[identity] = Interval(low, high)
+        self._set_clock(self._ticks + rounds * ticks)
+
+    def certain(self, node: Scalar) -> float:
+        """What a value is at least, where memories leave it open, and at most, where only facts of the present do.
+
+        Facts of the present may have any value, at any time. The range of a memory says nothing of what it kept before: a `running_max`
+        of a range does not rise by this range in each timestep.
+        """
+        value = self.of(node)
+        return value.low if has_memory(self.analysis, node) else value.high
 
     def end(self, flags: Mapping[str, Interval]) -> None:
         """Set what this timestep ends, before the reward is asked for."""
@@ -223,7 +257,21 @@ class Course(Ranges):
     def _is_source(self, node: Scalar, identity: int) -> bool:
         if identity in self._course or identity in self._same or isinstance(node, State):
             return True
-        return isinstance(node, Name) and node.name in _GOES_ON
+        return isinstance(node, Name) and (node.name in _GOES_ON or node.name in _CLOCKS)
+
+    def _op(self, op: str, args: Sequence[Scalar]) -> Interval:
+        if op == "sub":
+            now, before = (self.analysis.identity(self._unchanged(arg)) for arg in args)
+            if now == before:
+                return NEVER
+        return super()._op(op, args)
+
+    def _unchanged(self, node: Scalar) -> Scalar:
+        """The value one timestep later, where it does not vary."""
+        meaning = self.analysis.resolve_aliases(node)
+        if isinstance(meaning, State) and meaning.function == "previous" and not self._varies(meaning.args[0]):
+            return meaning.args[0]
+        return meaning
 
     def _name(self, node: Name) -> Interval:
         return self._flags[node.name] if node.name in self._flags else super()._name(node)
@@ -282,6 +330,11 @@ class Course(Ranges):
         if condition.low > 0.0:
             return longer
         return NEVER if condition.high <= 0.0 else hull([NEVER, longer])
+
+
+def has_memory(analysis: Analysis, node: Scalar) -> bool:
+    """Whether a value depends on earlier timesteps."""
+    return any(isinstance(part, State) for part in analysis.walk_definitions(node))
 
 
 def _mixed(before: Interval, x: Interval, share: Interval) -> Interval:

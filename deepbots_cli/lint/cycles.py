@@ -20,7 +20,7 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, Interval, single
-from deepbots_cli.expressions.scalar import EngineRead, Scalar, State
+from deepbots_cli.expressions.scalar import EngineRead, Op, Scalar, State
 from deepbots_cli.expressions.types import Operation, walk
 from deepbots_cli.lint.context import RuleContext
 from deepbots_cli.lint.incentives import MIN_WORTH, horizon, hovering, steps_from
@@ -201,6 +201,25 @@ class _Search:
             for one, other in ((low, high), (high, low)):
                 for count in sorted(times):
                     yield Cycle(((one, count), (other, 1)), key)
+        for key, inside, outside in self._regions_in_reward():
+            for one, other in ((inside, outside), (outside, inside)):
+                for count in sorted(times):
+                    yield Cycle((({**base, **one}, count), ({**base, **other}, 1)), key)
+
+    def _regions_in_reward(self) -> Iterator[tuple[int, Values, Values]]:
+        """The values of several quantities that meet a condition of a term, and the same with one of them beyond its bound."""
+        met: set[int] = set()
+        for part in (part for tree in self._terms for part in self._analysis.walk_definitions(tree)):
+            identity = self._analysis.identity(part)
+            if not isinstance(part, Op) or part.op != "and" or identity in met:
+                continue
+            met.add(identity)
+            for way in [way for way in ways(self._analysis, part) if len(way) > 1][:_MAX_INSIDE]:
+                inside = self._values(way)
+                for key, required in way.items():
+                    edge = _across(required)
+                    if edge is not None:
+                        yield key, inside, {**inside, key: single(edge)}
 
     def _sides_in_reward(self) -> Iterator[tuple[int, tuple[Interval, Interval]]]:
         met = set()
@@ -258,21 +277,24 @@ class _Search:
     def _earned(self, cycle: Cycle, finish: Values) -> Earned | None:
         """What a cycle earns; None where it ends the episode, or where finishing from it is unknown."""
         turns = max(3, ceil(self._longest_hold / cycle.ticks) + 1)
-        self._left -= (turns + 1) * cycle.ticks
+        self._left -= (turns + 3) * cycle.ticks
         if self._left < 0:
             return None
         start = cycle.phases[-1][0]
         course = self._course({**start, **finish}, is_moving=True)
-        sums: dict[str, float] = {}
-        for turn in range(turns):
-            for values, count in cycle.phases:
-                for _ in range(count):
-                    course.follow(values)
-                    if self._ends(course):
-                        return None
-                    if turn == turns - 1:
-                        for term, node in self._reward.terms:
-                            sums[term.name] = sums.get(term.name, 0.0) + course.of(node).high
+        before: Mapping[int, Interval] = {}
+        early: Mapping[str, float] | None = {}
+        for _ in range(turns):
+            before = course.memories
+            early = self._turn(course, cycle)
+            if early is None:
+                return None
+        course.skip(before, self._counted / cycle.ticks, cycle.ticks)
+        passing = self._turn(course, cycle)  # pays what is paid once, in the time that is skipped
+        late = None if passing is None else self._turn(course, cycle)
+        if late is None:
+            return None
+        sums = min(early, late, key=lambda paid: sum(paid.values()))
         rates = {name: paid / cycle.ticks for name, paid in sums.items()}
         rate = sum(rates.values())
         if not 0.0 < rate < INF:
@@ -281,6 +303,18 @@ class _Search:
         if finishing is None:
             return None
         return Earned(cycle, rates, rate, rate * self._steps * _SHARE_OF_EPISODE + self._fine, finishing)
+
+    def _turn(self, course: Course, cycle: Cycle) -> Mapping[str, float] | None:
+        """What each term pays for certain in one turn of a cycle; None where the episode ends."""
+        sums: dict[str, float] = {}
+        for values, count in cycle.phases:
+            for _ in range(count):
+                course.follow(values)
+                if self._ends(course):
+                    return None
+                for term, node in self._reward.terms:
+                    sums[term.name] = sums.get(term.name, 0.0) + course.certain(node)
+        return sums
 
     def _ends(self, course: Course) -> bool:
         for ending, node in self._endings:

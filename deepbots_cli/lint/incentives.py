@@ -7,6 +7,7 @@ from math import ceil, nextafter
 
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import Threshold, comparisons, has_choice, is_clock, thresholds
+from deepbots_cli.analysis.courses import has_memory
 from deepbots_cli.analysis.ranges import Ranges
 from deepbots_cli.analysis.returns import RewardTerms, Terms, is_progress, total_range
 from deepbots_cli.diagnostics import Finding, Label
@@ -20,6 +21,8 @@ from deepbots_cli.program.values import Expression
 _RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "joint_velocity"})
 """Facts that are 0 while nothing moves."""
 _CLOCKS = frozenset({"time", "step"})
+_ROUNDING = 1e-12
+"""Factors that cancel leave no more than this."""
 MIN_BREAK_EVEN = 0.5
 """A scenario whose success pays is reported if more of the episodes than this share would have to succeed."""
 MIN_WORTH = 0.25
@@ -221,11 +224,53 @@ class _StillRanges(Ranges):
                 return super()._state(node)
 
     def _op(self, op: str, args: Sequence[Scalar]) -> Interval:
-        if op == "sub":
-            now = [node.args[0] if isinstance(node, State) and node.function == "previous" else node for node in args]
-            if self.analysis.identity(now[0]) == self.analysis.identity(now[1]):
-                return NEVER
+        if op in ("add", "sub") and any(has_memory(self.analysis, arg) for arg in args):
+            return self._sum(op, args)
+        if op == "and":
+            return super()._op(op, [self._now(arg) for arg in args])
         return super()._op(op, args)
+
+    def _sum(self, op: str, args: Sequence[Scalar]) -> Interval:
+        """A sum or difference, in which a quantity and its value one step ago are the same."""
+        shares: dict[int, tuple[Scalar, float]] = {}
+        for node, share in ((args[0], 1.0), (args[1], 1.0 if op == "add" else -1.0)):
+            for part, factor in self._parts(self._now(node), share):
+                key = self.analysis.identity(part)
+                shares[key] = part, factor + shares.get(key, (part, 0.0))[1]
+        total = NEVER
+        for part, factor in shares.values():
+            if abs(factor) > _ROUNDING:
+                total = iv.add(total, iv.multiply(self.of(part), iv.single(factor)))
+        return total
+
+    def _parts(self, node: Scalar, share: float) -> Iterator[tuple[Scalar, float]]:
+        """What a sum adds, each with its factor."""
+        match self.analysis.resolve_aliases(node):
+            case Op("neg", (inner,)):
+                yield from self._parts(inner, -share)
+            case Op("add" | "sub" as op, (a, b)):
+                yield from self._parts(a, share)
+                yield from self._parts(b, share if op == "add" else -share)
+            case Op("mul", (a, b)) if self.of(a).is_single:
+                yield from self._parts(b, share * self.of(a).low)
+            case Op("mul", (a, b)) if self.of(b).is_single:
+                yield from self._parts(a, share * self.of(b).low)
+            case Op("div", (a, b)) if self.of(b).is_single and self.of(b) != NEVER:
+                yield from self._parts(a, share / self.of(b).low)
+            case part:
+                yield part, share
+
+    def _now(self, node: Scalar) -> Scalar:
+        """The same value, with each quantity one step ago replaced by the quantity."""
+        if not has_memory(self.analysis, node):
+            return node
+        match self.analysis.resolve_aliases(node):
+            case State("previous", (inner, *_)):
+                return self._now(inner)
+            case Op(op, args):
+                return Op(op, tuple(self._now(arg) for arg in args))
+            case meaning:
+                return meaning
 
 
 def hovering_pays(context: RuleContext) -> Iterator[Finding]:
@@ -273,8 +318,8 @@ def hovering(context: RuleContext) -> Finding | None:
     fine = min(0.0, total_range(final, reward.ranges_at(None)).high)
     for threshold in _ways_to_avoid(analysis, success):
         waiting = _just_before(running, threshold)
-        known = total_range(reward.terms, waiting)
-        pay = known.low if threshold is not None and has_choice(analysis, success) else known.high
+        is_open = threshold is None or not has_choice(analysis, success)
+        pay = sum(_pay(waiting, node, is_open=is_open) for _, node in reward.terms)
         if not 0.0 < pay < INF:
             continue
         prize = total_range(reward.terms, _just_before(reward.ranges_at(success), threshold)).high
@@ -284,6 +329,15 @@ def hovering(context: RuleContext) -> Finding | None:
             best = max(ordinary, key=lambda term: waiting.of(term[1]).high)[0]
             return Finding("DB708", best.span, headline, PROGRESS_HELP, labels=(Label(success.span, "ends these payments"),))
     return None
+
+
+def _pay(waiting: Ranges, node: Scalar, *, is_open: bool) -> float:
+    """What a term pays in each step of waiting: the largest value where other facts are `is_open`, but of memories what is certain.
+
+    A memory such as `running_max` may have any value of its range, but does not pay its rise in each step.
+    """
+    paid = waiting.of(node)
+    return paid.high if is_open and not has_memory(waiting.analysis, node) else paid.low
 
 
 def _ways_to_avoid(analysis: Analysis, success: Expression) -> list[Threshold | None]:
