@@ -1,8 +1,8 @@
 """The values of a program along an assumed course of some quantities, timestep by timestep, without a simulated world.
 
 A `Course` fixes quantities, such as a distance, and the clock in each timestep. Every other fact of the world keeps one value that is not
-known: it stands for all values of its range, and it never changes. So `delta` of it is 0, and speeds are 0. `ways` solves a condition: which values
-of the compared quantities make it true, or false.
+known: it stands for all values of its range, and it never changes. So `delta` of it is 0, and speeds are 0. `ways` solves a condition:
+which values of the compared quantities make it true, or false.
 """
 
 from __future__ import annotations
@@ -175,6 +175,7 @@ class Course(Ranges):
         self._is_varied: dict[int, bool] = {}
         self._constant: dict[int, Interval] = {}
         self._tick = analysis.program.world.timestep
+        self._remembers: dict[int, bool] = {}
         self._ticks = self.steps[0] * analysis.program.action_repeat
         parts = [part for tree in watched for part in analysis.walk_definitions(tree)]
         self._states = {analysis.identity(part): part for part in parts if isinstance(part, State)}
@@ -220,8 +221,10 @@ class Course(Ranges):
         Facts of the present may have any value, at any time. The range of a memory says nothing of what it kept before: a `running_max`
         of a range does not rise by this range in each timestep.
         """
-        value = self.of(node)
-        return value.low if has_memory(self.analysis, node) else value.high
+        value, identity = self.of(node), self.analysis.identity(node)
+        if identity not in self._remembers:
+            self._remembers[identity] = has_memory(self.analysis, node)
+        return value.low if self._remembers[identity] else value.high
 
     def end(self, flags: Mapping[str, Interval]) -> None:
         """Set what this timestep ends, before the reward is asked for."""

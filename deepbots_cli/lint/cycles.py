@@ -202,9 +202,8 @@ class _Search:
                 for count in sorted(times):
                     yield Cycle(((one, count), (other, 1)), key)
         for key, inside, outside in self._regions_in_reward():
-            for one, other in ((inside, outside), (outside, inside)):
-                for count in sorted(times):
-                    yield Cycle((({**base, **one}, count), ({**base, **other}, 1)), key)
+            for count in sorted(times):
+                yield Cycle((({**base, **inside}, count), ({**base, **outside}, 1)), key)
 
     def _regions_in_reward(self) -> Iterator[tuple[int, Values, Values]]:
         """The values of several quantities that meet a condition of a term, and the same with one of them beyond its bound."""

@@ -110,6 +110,27 @@ EXPLOITED = {
     "a reward for standing still": """
         reward: {calm: "0.3 when norm(velocity(epuck)) < 1 cm/s", there: 10 when arrived}
     """,
+    "a bonus at each visit of a region of two bounds": """
+        augment: {place: position(epuck).xy}
+        observation: {place: -1.5 .. 1.5 m}
+        signals:
+          on_mat: abs(place.x - 10 cm) < 12 cm and abs(place.y) < 30 cm
+        reward: {there: 5 when arrived, doorbell: "4 when rising_edge(on_mat)", time: -0.01}
+    """,
+    "a bonus at each visit of a region that a counter counts": """
+        augment: {place: position(epuck).xy}
+        observation: {place: -1.5 .. 1.5 m}
+        signals:
+          on_mat: abs(place.x - 10 cm) < 12 cm and abs(place.y) < 30 cm
+          rings: "accumulate(1 if rising_edge(on_mat) else 0, 0 .. 500, 0)"
+        reward: {there: 5 when arrived, doorbell: "4 * delta(rings)", time: -0.01}
+    """,
+    "pay for the time that passes": """
+        reward: {service: 4 * delta(time) / s}
+    """,
+    "pay for the time that passes, written as a difference": """
+        reward: {service: 4 * (time - previous(time)) / s}
+    """,
 }
 """Each upon `course.yaml`: the reward of a success, `there`, is 5."""
 
@@ -149,6 +170,68 @@ SOUND = {
     "a little pay while the success has to be held": """
         reward: {there: 20 when arrived, stay: 0.1 when apart < 5 cm, closer: -10 * delta(apart) / m}
         termination: {success: {arrived: duration(apart < 5 cm) > 1 s}}
+    """,
+    "a bonus for the first visit of a region, by the change of its memory": """
+        augment: {place: position(epuck).xy}
+        observation: {place: -1.5 .. 1.5 m}
+        signals:
+          on_mat: abs(place.x - 10 cm) < 12 cm and abs(place.y) < 30 cm
+          rung: running_max(1 if on_mat else 0)
+        reward: {there: 5 when arrived, doorbell: "4 * delta(rung)", time: -0.01}
+    """,
+    "a bonus for the first visit of a region, at the edge of its memory": """
+        augment: {place: position(epuck).xy}
+        observation: {place: -1.5 .. 1.5 m}
+        signals:
+          on_mat: abs(place.x - 10 cm) < 12 cm and abs(place.y) < 30 cm
+          rung: running_max(1 if on_mat else 0)
+        reward: {there: 5 when arrived, doorbell: "4 when rising_edge(rung > 0.5)", time: -0.01}
+    """,
+    "a bonus for the first visit of a region, at the edge of an integral": """
+        augment: {place: position(epuck).xy}
+        observation: {place: -1.5 .. 1.5 m}
+        signals:
+          on_mat: abs(place.x - 10 cm) < 12 cm and abs(place.y) < 30 cm
+          rung: running_max(1 if on_mat else 0)
+        reward: {there: 5 when arrived, doorbell: "4 when rising_edge(integral(rung) > 0 s)", time: -0.01}
+    """,
+    "a bonus for the first visit of a region, by a comparison with the step before": """
+        augment: {place: position(epuck).xy}
+        observation: {place: -1.5 .. 1.5 m}
+        signals:
+          on_mat: abs(place.x - 10 cm) < 12 cm and abs(place.y) < 30 cm
+          rung: running_max(1 if on_mat else 0)
+        reward: {there: 5 when arrived, doorbell: "4 if rung > 0.5 and previous(rung, 0) < 0.5 else 0", time: -0.01}
+    """,
+    "a bonus after five seconds in a region": """
+        augment: {place: position(epuck).xy}
+        observation: {place: -1.5 .. 1.5 m}
+        signals:
+          on_mat: abs(place.x - 10 cm) < 12 cm and abs(place.y) < 30 cm
+          stayed: "integral(1 if on_mat else 0)"
+        reward: {there: 5 when arrived, doorbell: "4 when rising_edge(stayed > 5 s)", time: -0.01}
+    """,
+    "pay for the time in a region up to a limit": """
+        signals: {stayed: "min(integral(1 if apart < 25 cm else 0), 3 s)"}
+        reward: {stay: 1 * delta(stayed) / s}
+    """,
+    "a bonus for the first three visits": """
+        signals: {visits: "accumulate(1 if rising_edge(apart < 25 cm) else 0, 0 .. 3, 0)"}
+        reward: {entered: 1 * delta(visits)}
+    """,
+    "progress against a signal of the step before": """
+        truncation: {max_steps: 350}
+        signals: {before: previous(apart)}
+        reward: {closer: 30 * (before - apart) / m}
+    """,
+    "progress against the step before, each with its factor": """
+        truncation: {max_steps: 350}
+        signals: {before: previous(apart)}
+        reward: {closer: 30 * before / m - 30 * apart / m}
+    """,
+    "the change of a potential of the step before": """
+        signals: {before: previous(apart)}
+        reward: {closer: 5 * (exp(-apart / (20 cm)) - exp(-before / (20 cm)))}
     """,
 }
 
@@ -192,6 +275,22 @@ def test_a_term_that_pays_while_the_success_is_held_is_interrupted_just_in_time(
     assert finding.code == "DB716"
     assert finding.span.text == "10 when parked"
     assert "for 5 steps, then" in finding.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "rate"),
+    [
+        ("a bonus at each visit of a region of two bounds", "1.99"),
+        ("a bonus at each visit of a region that a counter counts", "1.99"),
+        ("pay for the time that passes", "0.4"),
+        ("pay for the time that passes, written as a difference", "0.4"),
+    ],
+)
+def test_the_pay_of_a_step_that_a_finding_names_can_be_reached(name: str, rate: str, folder: Path) -> None:
+    """A bonus of 4 at each entry was said to pay 9.99 per step, where a visit takes two; 4 per second, 80 per step of 40 ms."""
+    (finding,) = api.lint(write(folder, EXPLOITED[name]))
+    assert f"earns up to {rate} per step" in finding.headline
+    assert " stays " not in finding.notes[0] or "time" in name
 
 
 # Limits of speed
