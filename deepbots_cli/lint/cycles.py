@@ -282,12 +282,13 @@ class _Search:
         start = cycle.phases[-1][0]
         course = self._course({**start, **finish}, is_moving=True)
         before: Mapping[int, Interval] = {}
-        early: Mapping[str, float] | None = {}
+        early: Mapping[str, float] = {}
         for _ in range(turns):
             before = course.memories
-            early = self._turn(course, cycle)
-            if early is None:
+            turn = self._turn(course, cycle)
+            if turn is None:
                 return None
+            early = turn
         course.skip(before, self._counted / cycle.ticks, cycle.ticks)
         passing = self._turn(course, cycle)  # pays what is paid once, in the time that is skipped
         late = None if passing is None else self._turn(course, cycle)
