@@ -299,6 +299,7 @@ class TrainingCallback:
         self._kept_candidates: Sequence[Candidate] = ()
         self._activity = ""
         self._evaluated_at = -1
+        self._has_new_weights = True
         self._check_interval = max(1, min(MAX_CHECK_INTERVAL, total // 100))
         self._next_check = 0
         self._check_passed = False
@@ -468,6 +469,7 @@ class TrainingCallback:
         return newest is not None and Summary.of_episodes(newest).meets_solved(statistics.solved)
 
     def on_collected(self) -> None:
+        self._has_new_weights = True  # by the update that follows; so it is in each checkpoint, too
         if self._check_passed:  # always False between two rollouts of a checkpoint, which therefore does not keep it
             self._check_passed = False
             self._record_policy()
@@ -482,11 +484,13 @@ class TrainingCallback:
         fits = self.evaluator.steps + EVALUATION_EPISODES * statistics.mean_length <= share * steps
         if not statistics.has_episodes(EVALUATION_EPISODES) or steps == self._evaluated_at or not fits:
             return
+        if not self._has_new_weights:  # in a long rollout, the same policy would play the same starts again
+            return
         began = time.monotonic()
         scenario, stage = self.curriculum.scenario_of(self.curriculum.index), self.curriculum.name
         done = self.evaluator.evaluate(self.learner, scenario, self.interruption, stage)
         summary = Summary.of_episodes(done)
-        self._evaluated_at = steps
+        self._evaluated_at, self._has_new_weights = steps, False
         meets = summary.meets_solved(statistics.solved)
         if self.teaching is not None:
             self.teaching.on_evaluation(summary, steps, defines_success=self.defines_success, is_solved=meets)

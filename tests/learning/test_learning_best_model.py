@@ -110,8 +110,16 @@ class Notes(Reporter):
             self.activities.append(progress.activity)
 
 
-def learned(folder: Path, build: Any, total: int = 800, solved: Solved | None = SUCCESS, **options: Any) -> TrainingResult:
-    values = {"n_steps": 32, "batch_size": 32, "n_epochs": 1}
+def learned(
+    folder: Path,
+    build: Any,
+    total: int = 800,
+    solved: Solved | None = SUCCESS,
+    n_steps: int = 32,
+    batch_size: int = 32,
+    **options: Any,
+) -> TrainingResult:
+    values = {"n_steps": n_steps, "batch_size": batch_size, "n_epochs": 1}
     hyperparameters = tuple(Hyperparameter(name, value) for name, value in values.items())
     task = stand_in.compiled(
         training=Training("PPO", total, environments=2, hyperparameters=hyperparameters),
@@ -323,6 +331,14 @@ def test_evaluations_take_at_most_their_share_of_the_steps(tmp_path: Path) -> No
     result = learned(tmp_path, Worlds(poor, choice=poor), total=20_000)
     chosen = 5 * EVALUATION_EPISODES * 50 * 4
     assert 0 < result.evaluation_steps <= result.steps * callbacks.URGENT_SHARE + 2 * EVALUATION_EPISODES * 50 + chosen
+
+
+def test_the_best_models_are_not_the_same_policy_evaluated_again_within_a_long_rollout(tmp_path: Path) -> None:
+    result = learned(tmp_path, Worlds(poor), total=12_000, n_steps=1_500, batch_size=1_500)
+    # The last evaluation follows the last update.
+    rollouts = [(steps - 1) // 3_000 for steps in evaluated_steps(result)[:-1]]
+    assert len(rollouts) >= 2
+    assert len(set(rollouts)) == len(rollouts)
 
 
 def test_evaluations_start_where_neither_training_nor_evaluation_does(unpaid: tuple[Worlds, TrainingResult]) -> None:

@@ -12,9 +12,9 @@ from typing import Any, Literal
 
 from scipy.special import stdtrit
 
-from deepbots_cli.learning.statistics import ALPHA, mean_interval, wilson
+from deepbots_cli.learning.statistics import ALPHA, wilson
 from tests.results import measure
-from tests.results.experiment import Bar, Experiment, Figure, Held, Training, told
+from tests.results.experiment import Bar, Experiment, Held, Training, told
 
 Entry = Mapping[str, Any]
 
@@ -45,16 +45,17 @@ def judge(experiment: Experiment, bar: Bar, record: Entry) -> Verdict:
     seeds = len(experiment.training(figure.training).seeds) if figure.training else 1
     values, what = figure.values(record), bar.words or figure.words
     limit = bar.at_most if bar.at_most is not None else bar.at_least or 0.0
-    whose = "" if seeds == 1 else f", {seeds} of {seeds} seeds" if bar.over == "all" else f", {bar.over} of {seeds} seeds"
+    whose = "" if seeds == 1 else f", {seeds - bar.misses} of {seeds} seeds" if bar.over == "all" else f", {bar.over} of {seeds} seeds"
     asked = f"{'stretch: ' if bar.stretch else ''}at {'most' if bar.at_most is not None else 'least'} {told(limit, figure.what)}{whose}"
     good = sum(map(bar.holds, values))
-    if len(values) < seeds and not (bar.over == "all" and good < len(values)):
+    is_lost = bar.over == "all" and len(values) - good > bar.misses
+    if len(values) < seeds and not is_lost:
         return Verdict(bar, what, asked, f"{len(values)} of {seeds} seeds" if values and seeds > 1 else "", "not measured")
-    if bar.over == "all":  # one seed that fails is a miss, however many are still to come
+    if bar.over == "all":  # seeds that fail are a miss, however many are still to come
         worst = max(values) if bar.at_most is not None else min(values)
         so_far = f", {len(values)} measured" if len(values) < seeds else ""
         measured = told(worst, figure.what) + (f", the worst; {good} of {seeds} seeds{so_far}" if seeds > 1 else "")
-        return Verdict(bar, what, asked, measured, "met" if good == seeds else "missed")
+        return Verdict(bar, what, asked, measured, "missed" if is_lost else "met")
     value = fmean(values) if bar.over == "mean" else median(values)
     return Verdict(bar, what, asked, told(value, figure.what), "met" if bar.holds(value) else "missed")
 
@@ -153,15 +154,11 @@ def _variance(entry: Entry) -> float:
     return float(episodes * (max(mean - low, high - mean) / stdtrit(episodes - 1, 1 - ALPHA / 2)) ** 2)
 
 
-def over_seeds(figure: Figure, record: Entry) -> tuple[float, tuple[float, float] | None]:
-    """A figure with its interval: of all held-out episodes together, or the mean of the seeds."""
-    if isinstance(figure, Held):
-        held = together(figure.entries(record))
-        key = "success_interval" if figure.what == "success_rate" else "return_interval"
-        same = figure.what != "success_rate" and held["least_return"] == held["greatest_return"]
-        return held[figure.what], None if same else tuple(held[key])
-    values = figure.values(record)
-    return fmean(values), mean_interval(values)
+def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
+    """The lower quartile, the median and the upper quartile of the seeds; an infinity is a seed that never got there."""
+    ordered = sorted(values)
+    low, middle, high = (ordered[round(share * (len(ordered) - 1))] for share in (0.25, 0.5, 0.75))
+    return low, middle if len(ordered) % 2 else median(ordered), high
 
 
 @dataclass(frozen=True)

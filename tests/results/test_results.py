@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import signal
 import subprocess
@@ -10,9 +11,10 @@ import time
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from statistics import fmean
+from statistics import fmean, median
 from typing import Any
 
+import numpy as np
 import pytest
 
 from deepbots_cli.document import shipped
@@ -38,7 +40,7 @@ from tests.results.experiment import (
 )
 from tests.results.experiments.not_measured import REASONS
 from tests.results.measure import ROOT, Places
-from tests.results.standing import Standing, judge, together
+from tests.results.standing import Standing, judge, quartiles, together
 
 PLACES = Places()
 CURRENT = "run: python -m tests.results --render"
@@ -76,11 +78,21 @@ def test_the_readme_tells_figures_of_the_cards():
         assert [figure for figure in figures if figure not in numbers] == []
 
 
-def test_the_table_beside_the_paper_has_its_tasks_and_every_row_an_interval():
+def test_the_table_beside_the_paper_has_its_tasks_and_the_median_quartiles_and_worst_of_all_seeds():
     text = PLACES.page.read_text(encoding="utf-8").partition("## Beside the paper")[2].partition("\n## ")[0]
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")][2:]
     assert [row[0].partition("]")[0] for row in rows if row[0]] == ["[CartPole", "[PitEscape", "[FindBall"]
-    assert [row for row in rows if not re.search(r" \(.+ \.\. .+\)$| \(every episode\)$", row[3])] == []
+    assert [row for row in rows if not re.fullmatch(r"\S+( %)? \.\. \S+( %)?", row[4]) or not row[6].isdigit()] == []
+
+
+@pytest.mark.parametrize("values", [[5.0], [1.0, 2.0, 3.0, 4.0, 5.0], [float(n) for n in range(1, 22)]])
+def test_quartiles_are_those_of_the_seeds(values: list[float]):
+    assert quartiles(values) == pytest.approx(np.percentile(values, [25, 50, 75]), abs=0.51)
+    assert quartiles(values)[1] == median(values)
+
+
+def test_a_seed_that_is_never_solved_is_the_upper_quartile_of_two():
+    assert quartiles([0.2, math.inf]) == (0.2, math.inf, math.inf)
 
 
 def test_episodes_of_several_policies_count_as_one_evaluation():
@@ -142,7 +154,7 @@ def places_in(folder: Path) -> Places:
 
 def test_what_is_missing_can_be_asked_for_without_measuring_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["--list", "cartpole", "costs"], places_in(tmp_path)) == 0
-    assert capsys.readouterr().out.split() == ["cartpole", "11", "missing", "costs", "6", "missing"]
+    assert capsys.readouterr().out.split() == ["cartpole", "41", "missing", "costs", "6", "missing"]
     assert list(tmp_path.iterdir()) == []
 
 
@@ -160,6 +172,9 @@ def test_a_bar_is_missed_by_the_worst_seed_by_one_that_is_never_solved_and_open_
     assert verdict(bar, 0.1, None, 0.2) == ("**missed**", "never, the worst; 2 of 3 seeds")
     assert verdict(bar, 0.1, 0.2) == ("not measured", "2 of 3 seeds")
     assert verdict(bar, 0.1, 0.6) == ("**missed**", "0.6 h, the worst; 1 of 3 seeds, 2 measured")
+    assert verdict(replace(bar, misses=1), 0.1, None, 0.2)[0] == "met"
+    assert verdict(replace(bar, misses=1), 0.1, None, 0.6)[0] == "**missed**"
+    assert verdict(replace(bar, misses=1), 0.6)[0] == "not measured"
     assert verdict(mean, 0.1, 0.2, 0.9) == ("**missed**", "0.4 h")
     assert verdict(mean, 0.1, None, 0.2) == ("**missed**", "never")
     assert verdict(mean, 0.1, 0.6)[0] == "not measured"

@@ -32,7 +32,8 @@ EXPERIMENTS = (
     Experiment(
         scenario="pit_escape",
         title="PitEscape",
-        prose="Solved: the mean return of 100 consecutive training episodes is at least 0.89. Seeds 101 and 102 were trained in a pit "
+        prose="Solved, before deepbots confirmed it on new starts: the mean return of 100 consecutive training episodes is at least 0.89. "
+        "Seeds 101 and 102 were trained in a pit "
         "2.8 m high: 101 passed a mean of 0.8 after 2.98 h, 102 never. The pit was then made lower.",
         trainings=(
             Training(FRESH, evaluations=(Evaluation(), *_ELSEWHERE)),
@@ -61,7 +62,6 @@ EXPERIMENTS = (
         "its training took about 3 simulated hours (500 episodes).",
         beside=(
             Beside("episodes until the mean return is 0.8", "about 150", Crossed(0.8, "episode")),
-            Beside("simulated hours of the training", "about 3", Trained("simulated_hours")),
             Beside("success, held out", "not given", Held("success_rate")),
         ),
         marks=(Mark("the paper: 0.8", value=0.8), Mark("the paper: 3 h", hours=3)),
