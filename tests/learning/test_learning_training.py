@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from deepbots_cli.learning.order import Candidate
 from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal, to_json
 from deepbots_cli.learning.run import Run, run_lock
 from deepbots_cli.learning.sb3 import algorithms
+from deepbots_cli.learning.sb3.logs import TrainingLog
 from deepbots_cli.learning.sb3.state import StableState
 from deepbots_cli.learning.training import _training_of
 from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Solved, Training
@@ -137,6 +139,17 @@ def test_a_resumed_training_goes_on_with_its_counts_and_appends_to_its_log(run_c
     record = json.loads((run_copy / "run.json").read_text())
     assert record["resumed_at"] == [trained.steps]
     assert record["status"] == "finished"
+
+
+def test_event_files_of_one_second_are_read_in_the_order_in_which_they_were_written(run_copy: Path) -> None:
+    run = Run.open(run_copy)
+    (present,) = run.tensorboard.iterdir()
+    first = present.rename(run.tensorboard / f"events.out.tfevents.{int(time.time())}.host.1.9")
+    training = run.program.agent.training
+    assert training is not None
+    TrainingLog(run).open(training, is_new=False)
+    assert min(path.name for path in run.tensorboard.iterdir()) == first.name
+    assert max(int(path.name.split(".")[3]) for path in run.tensorboard.iterdir()) > int(first.name.split(".")[3])
 
 
 def test_train_and_resume_take_paths_as_text(tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,8 @@ from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.learning.sb3.plugins import PluginLogger
 from deepbots_cli.program.task import Training
 
+_MAX_WAIT_S = 2.0
+
 
 class TrainingLog(Logger):
     """Collects scalars by name. `open` comes after a checkpoint is restored, which cuts the files."""
@@ -25,6 +29,7 @@ class TrainingLog(Logger):
 
     def open(self, training: Training, *, is_new: bool) -> None:
         """Open the files. One of a new training begins with the scenario as text, and a page of hyperparameters."""
+        _wait_for_next_second(self._run.tensorboard)
         self._tensorboard = TensorBoardOutputFormat(str(self._run.tensorboard))
         self.output_formats.append(self._tensorboard)
         self.output_formats.extend(PluginLogger(name, self._run.path) for name in self._run.record.loggers)
@@ -71,3 +76,15 @@ def encoded(value: Any) -> Any:
 def number_of(value: Any) -> Any:
     """The number that `encoded` returned."""
     return value.number() if isinstance(value, NumpyScalar) else value
+
+
+def _wait_for_next_second(folder: Path) -> None:
+    """Wait until the name of a new file is the last one: TensorBoard reads the files in the order of their names.
+
+    A name has the second of its file and then a count, of which 10 is before 9.
+    """
+    names = [path.name.split(".") for path in folder.glob("events.out.tfevents.*")]
+    newest = max((int(name[3]) for name in names if len(name) > 3 and name[3].isdigit()), default=0)
+    wait = newest + 1 - time.time()
+    if 0 < wait <= _MAX_WAIT_S:  # a file that is farther in the future is of another clock
+        time.sleep(wait)
