@@ -641,7 +641,7 @@ def run_lock(folder: Path, name: str = ".lock", wait_s: float = 0.0) -> Iterator
     try:
         lock = FileLock(path, timeout=wait_s).acquire()
     except Timeout:
-        raise UsageError(f"another process is training in {folder}; wait until it finishes, or stop it") from None
+        raise UsageError(f"another process writes to {folder}, a training or `eval --keep`; wait until it finishes, or stop it") from None
     except OSError as error:
         raise UsageError(unwritable_message(folder, error)) from error
     with lock:

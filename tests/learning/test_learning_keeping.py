@@ -131,7 +131,7 @@ def test_the_best_model_stays_with_its_evaluations_where_it_is_chosen_again(run:
 
 def test_no_model_is_kept_while_a_training_is_at_work(run: Run) -> None:
     digest = stand_in.tree_digest(run.path / "models")
-    with run_lock(run.path), pytest.raises(UsageError, match="another process is training in"):
+    with run_lock(run.path), pytest.raises(UsageError, match="another process writes to"):
         keep(ModelRef(run), build=stand_in.build)
     record = json.loads((run.path / "run.json").read_text())
     (run.path / "run.json").write_text(json.dumps(record | {"status": "running", "result": None}))

@@ -499,7 +499,7 @@ def test_a_run_whose_figures_could_not_be_read_back_is_refused_before_it_is_made
 def test_a_run_that_is_being_trained_is_not_resumed_by_a_second_process(run_copy: Path) -> None:
     (run_copy / ".lock").touch()
     before = {path: path.read_bytes() for path in run_copy.rglob("*") if path.is_file()}
-    with run_lock(run_copy), pytest.raises(UsageError, match="another process is training in"):
+    with run_lock(run_copy), pytest.raises(UsageError, match="another process writes to"):
         resume(run_copy, total_timesteps=3_000, build=stand_in.build)
     assert {path: path.read_bytes() for path in run_copy.rglob("*") if path.is_file()} == before
     assert resume(run_copy, total_timesteps=2_100, stop_when_solved=False, build=stand_in.build).steps >= 2_100
