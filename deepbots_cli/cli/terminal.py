@@ -70,23 +70,27 @@ class LiveLine:
 
 
 @contextmanager
-def progress(unit: str = "episodes", *, always: bool = True) -> Iterator[Callable[[int, int], None] | None]:
+def progress(unit: str = "episodes", *, always: bool = True) -> Iterator[Callable[[int, int], None]]:
     """Yield a function that shows how many of how many are done, again from 1 on for the next row of them.
 
-    Unless `always`, it is None where standard error is no terminal.
+    Unless `always`, there is at most one line in 30 s where standard error is no terminal.
     """
     bar: ProgressBar | None = None
+    shown = time.perf_counter()
 
     def show(done: int, total: int) -> None:
-        nonlocal bar
+        nonlocal bar, shown
         bar = bar or ProgressBar(total, unit)
-        bar.update(done)
+        now = time.perf_counter()
+        if always or sys.stderr.isatty() or now - shown >= _LINE_INTERVAL_S:
+            bar.update(done)
+            shown = now
         if done >= total:
             bar.close()
             bar = None
 
     try:
-        yield show if always or sys.stderr.isatty() else None
+        yield show
     finally:
         if bar is not None:
             bar.close()
@@ -165,12 +169,14 @@ def json_compatible(data: object) -> object:
 
 _PAUSE = 0.2
 """Seconds between two refreshes of the bar. It has no thread of its own: `bench` measures the CPU time of the process."""
+_LINE_INTERVAL_S = 30.0
+"""Seconds between two lines of a work that need not be followed."""
 
 
 class ProgressBar:
     """How much of a task is done, how fast, and how long the rest will take; `unit` is what is counted, in the plural.
 
-    On a terminal, the bar disappears at the end.
+    On a terminal, the bar disappears at the end. Elsewhere there is a line for every tenth.
     """
 
     def __init__(self, total: int, unit: str, *, stream: TextIO | None = None) -> None:

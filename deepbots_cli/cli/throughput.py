@@ -91,7 +91,6 @@ def measure(
     found: dict[tuple[str, int], list[Row]] = {case: [] for case in cases}
     terminal.note(f"measuring {counted_noun(rounds, 'round')} of {steps:,} steps, and at least {MIN_STEPS} of each world of a batch")
     with terminal.progress("measurements") as show:
-        tell = show or (lambda _done, _all: None)
         started = time.perf_counter()
         for number in range(rounds):
             now = time.perf_counter()
@@ -99,10 +98,10 @@ def measure(
                 break
             started = now
             for place, (name, count) in enumerate(cases):
-                tell(number * len(cases) + place, rounds * len(cases))
+                show(number * len(cases) + place, rounds * len(cases))
                 made = _batch(compiled, count, steps, seed) if name == BATCH else _single(compiled, name, steps, seed)
                 found[name, count].append(made)
-        tell(rounds * len(cases), rounds * len(cases))
+        show(rounds * len(cases), rounds * len(cases))
     columns = ("steps_per_second", "step_us", "physics_us", "reset_us", "physics_share", "wall_clock_share")
     rows = [Row(*case, *(median(getattr(row, column) for row in rows) for column in columns)) for case, rows in found.items()]
     return rows, len(found[cases[0]])

@@ -8,7 +8,7 @@ unless it fell apart afterwards.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -61,6 +61,7 @@ from deepbots_cli.insight.stages import (
     success_plateau,
 )
 from deepbots_cli.insight.statements import (
+    EvaluationRate,
     Numbers,
     Percentage,
     Statement,
@@ -93,6 +94,22 @@ _UNLEARNABLE = {
     "DB810": "`solved` asks for what no policy can miss or reach",
 }
 """What findings of lint mean for a training that cannot learn its task."""
+
+
+def _success_earns_more(t: TrainingEvidence) -> bool:
+    """Whether the successes of the training have the higher mean return."""
+    is_success = t.episodes.successes > 0
+    successes, others = t.episodes.returns[is_success], t.episodes.returns[~is_success]
+    return min(len(successes), len(others)) >= MIN_EPISODES and float(successes.mean()) > float(others.mean())
+
+
+_REFUTED: Mapping[str, Callable[[TrainingEvidence], bool]] = {
+    "DB708": _success_earns_more,
+    "DB711": lambda t: len(t.episodes) > 1 and float(np.ptp(t.episodes.returns)) > 0.0,
+    "DB807": lambda t: bool(t.episodes.successes.any()),
+}
+"""Whether the episodes of a training show the opposite of what a finding of lint means."""
+
 CERTAIN, _SYMPTOMS = 0.9, {"too_few_steps", "one_ending", "success_plateau", "missed_condition"}
 """Beside a cause that is as likely as this, the length of the training, its most frequent ending, a flat success and the condition that is
 missed are no causes."""
@@ -306,23 +323,24 @@ def lint_warns(t: TrainingEvidence) -> Numbers | None:
     Try: {help}: `deepbots lint {path}` shows the lines.{copy}
     """
     linted = linted_scenario(t.run)
-    found = sorted(linted.findings, key=lambda finding: finding.code not in _UNLEARNABLE)
-    if not found:
+    meanings = {code: text for code, text in _UNLEARNABLE.items() if not (code in _REFUTED and _REFUTED[code](t))}
+    findings = sorted(linted.findings, key=lambda finding: finding.code not in meanings)
+    if not findings:
         return None
-    first, rest = found[0], found[1:]
+    first, rest = findings[0], findings[1:]
     further = list_text([f"{finding.headline} ({finding.code})" for finding in rest], 2) if rest else ""
-    meaning = _UNLEARNABLE.get(first.code) or f"Lint warns about {RULES[first.code].summary}"
+    meaning = meanings.get(first.code) or f"Lint warns about {RULES[first.code].summary}"
     changed = linted.changed_source
     copy = f" It is the copy that the training read: {changed} was changed since then." if changed else ""
     return {
-        "likelihood": 0.91 if first.code in _UNLEARNABLE else 0.3,
+        "likelihood": 0.91 if first.code in meanings else 0.3,
         "meaning": meaning,
         "finding": first.headline,
         "code": first.code,
-        "count": len(found),
+        "count": len(findings),
         "others": f" Lint also reports: {further}." if rest else "",
         "help": _sentence(first.help or "Change what the finding names"),
-        "codes": [finding.code for finding in found],
+        "codes": [finding.code for finding in findings],
         "path": linted.arguments,
         "copy": copy,
     }
@@ -417,8 +435,8 @@ def horizon_too_short(t: TrainingEvidence) -> Numbers | None:
 
 
 def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
-    """Without exploration, the policy succeeds in {without} in its last evaluations{where}. With exploration, it succeeds in {with} at the
-    end of the training. Exploration prevents success.
+    """Without exploration, the policy succeeds in {without}{where} at the end of the training. With exploration, it succeeds in {with}.
+    Exploration prevents success.
 
     Try: {remedy}, or loosen the condition for success. You can already use the policy: `deepbots view`, `eval` and `export` run it without
     exploration.
@@ -436,8 +454,8 @@ def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
 
 
 def success_needs_exploration(t: TrainingEvidence) -> Numbers | None:
-    """With exploration, the policy succeeds in {with} at the end of the training. Without it, it succeeds in {without} in its last
-    evaluations{where}: it seems to stand still or to repeat itself in some states, and only the noise on its actions leads out of them.
+    """With exploration, the policy succeeds in {with} at the end of the training. Without it, it succeeds in
+    {without}{where}: it seems to stand still or to repeat itself in some states, and only the noise on its actions leads out of them.
 
     Try: {advice} The noise becomes smaller, and the policy learns to do without it. {otherwise}
     """
@@ -473,7 +491,7 @@ def exploration_delays_stage(t: TrainingEvidence) -> Numbers | None:
         reached = [k for k in range(len(done)) if all(fmean(each[values]) >= until.threshold for each in done[k:])]
         delay = int(after.steps[0] - done[reached[0]]["steps"]) if reached else 0
         if delay > max(worst.get("delay", 0), 0.1 * t.planned):
-            rate = SuccessRate([float(success) for each in done[reached[0] :] for success in each["successes"]])
+            rate = EvaluationRate([each["successes"] for each in done[reached[0] :]])
             worst = {"likelihood": 0.5, "stage": stage.name, "delay": delay, "criterion": criterion_text(until), "success": rate}
     return worst or None
 

@@ -32,15 +32,15 @@ def present_stage(t: TrainingEvidence) -> Numbers | None:
     """The training is in stage '{stage}' ({number} of {count}), which began at step {since} of {steps}. {evaluated}{ends}"""
     if not t.stages:
         return None
-    done, late = SuccessRate(t.late_evaluations), t.late_evaluations
+    late = t.late_success
     evaluated = "" if t.evaluations else "It was not evaluated in this stage yet. "
-    if late:
-        evaluated = f"In the last evaluations of this stage, the policy succeeds in {done}. "
+    if late.episodes:
+        evaluated = f"At the end of this stage, the policy succeeds in {late}. "
     until, value = criterion(t), criterion_value(t)
     now = "" if value is None or until is None else f"; now it is {criterion_number(until, value)}"
     ends = f"The stage ends at {criterion_text(until)}{now}." if until else "It is the last stage."
     return {"stage": t.stage, "number": t.stage_index + 1, "count": len(t.stages), "since": t.first_step, "steps": t.steps,
-            "success": done if late else None, "evaluated": evaluated, "ends": ends, "value": value}  # fmt: skip
+            "success": late if late.episodes else None, "evaluated": evaluated, "ends": ends, "value": value}  # fmt: skip
 
 
 def criterion(t: TrainingEvidence) -> Criterion | None:
@@ -117,7 +117,7 @@ def stage_too_hard(t: TrainingEvidence) -> Numbers | None:
     rise = _rate(t.episodes_by_steps(0.75, 1.0)) - _rate(t.episodes_by_steps(0.5, 0.75))
     if min(was.episodes, now.episodes) < MIN_EPISODES or was.rate < 0.5 or now.rate > 0.1 or now.high > 0.6 * was.low or rise > 0.05:
         return None
-    if t.late_evaluations and fmean(t.late_evaluations) > 0.3:
+    if t.late_success.rate > 0.3:
         return None
     changes = stage_changes(t)
     return {"likelihood": 0.935, "stage": t.stage, "before": before, "success_before": was, "success": now, "steps": t.stage_steps,
@@ -125,12 +125,12 @@ def stage_too_hard(t: TrainingEvidence) -> Numbers | None:
 
 
 def easy_stage_counted(t: TrainingEvidence) -> Numbers | None:
-    """The policy has learned only an easy stage: the training ended in stage '{stage}' ({number} of {count}). In evaluations of this stage
-    it succeeds in {success}{task}. The stage ends at {criterion}; {reached}.
+    """The policy has learned only an easy stage: the training ended in stage '{stage}' ({number} of {count}). In this
+    stage it succeeds in {success}{task}. The stage ends at {criterion}; {reached}.
 
     Try: {remedy}
     """
-    until, late = criterion(t), SuccessRate(t.late_evaluations)
+    until, late = criterion(t), t.late_success
     if until is None or t.is_running or (t.steps < 0.5 * t.planned and not t.final_episodes):
         return None
     if late.episodes < MIN_EPISODES or late.rate < 0.8 or _rate(t.episodes_between(0.75, 1.0)) < late.rate - 0.3:
@@ -166,7 +166,7 @@ def stuck_in_stage(t: TrainingEvidence) -> Numbers | None:
     # At this pace, the criterion would take as long again as the whole stage.
     if last.mean() - third.mean() > max(1.5 * error, 0.2 * (until.threshold - last.mean())):
         return None
-    if t.evaluations and (late := SuccessRate(t.late_evaluations)).episodes >= MIN_EPISODES and late.rate >= 0.95:
+    if t.late_success.episodes >= MIN_EPISODES and t.late_success.rate >= 0.95:
         return None  # it is learned: an easy stage that counts
     before, late_text = (criterion_number(until, float(part.mean())) for part in (third, last))
     reached = float(np.mean(np.concatenate([third, last])))
@@ -190,7 +190,7 @@ def is_rare(t: TrainingEvidence) -> bool:
     """Whether a success in the present stage is as good as never seen, in its late episodes and evaluations too."""
     of, last = SuccessRate(t.episodes.successes), t.episodes.successes[-100:]
     seldom = not of["successes"] or (len(last) and float(last.mean()) <= _RARE and (of.high <= _RARE or _stays_rare(t)))
-    return bool(seldom) and (not t.late_evaluations or fmean(t.late_evaluations) <= 0.1)
+    return bool(seldom) and t.late_success.rate <= 0.1
 
 
 def _stays_rare(t: TrainingEvidence) -> bool:
@@ -215,7 +215,7 @@ def plateau(t: TrainingEvidence) -> tuple[int, float, float] | None:
         return None
     quarter, middle = (t.first_step + share * t.stage_steps for share in (0.25, 0.5))
     early = [float(s) for each in t.evaluations if quarter < each.get("steps", np.inf) < middle for s in each["successes"]]
-    if early and t.late_evaluations and fmean(t.late_evaluations) > max(0.9, fmean(early) + 0.15):
+    if early and t.late_success.rate > max(0.9, fmean(early) + 0.15):
         return None
     bins = [t.episodes_by_steps(k / _BINS, (k + 1) / _BINS).successes for k in range(_BINS)]
     late, first = fmean(rates[1:]), _BINS
@@ -314,8 +314,7 @@ def _bin_rate(part: DrawnBin) -> str:
 
 def hides_success(t: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
     """The success rates of late evaluations and of late episodes of the training, if exploration hides most of the success."""
-    late, without = t.episodes_between(0.75, 1.0).successes[-100:], SuccessRate(t.late_evaluations)
-    explored = SuccessRate(late)
+    explored, without = SuccessRate(t.episodes_between(0.75, 1.0).successes[-100:]), t.late_success
     if min(without.episodes, explored.episodes) < MIN_EPISODES or without.rate < max(0.5, explored.rate + 0.3):
         return None
     return without, explored
@@ -323,7 +322,7 @@ def hides_success(t: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None
 
 def needs_exploration(t: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
     """The success rates of late episodes of the training and of late evaluations, if most of the success needs exploration."""
-    explored, without = SuccessRate(t.episodes_between(0.75, 1.0).successes[-100:]), SuccessRate(t.late_evaluations)
+    explored, without = SuccessRate(t.episodes_between(0.75, 1.0).successes[-100:]), t.late_success
     if min(without.episodes, explored.episodes) < MIN_EPISODES or explored.rate < max(0.5, without.rate + 0.3):
         return None
     return explored, without

@@ -86,6 +86,23 @@ class SuccessRate(dict[str, Any]):
         return f"{rate} ({low} to {high}) of {self.episodes:,} episodes"
 
 
+class EvaluationRate(SuccessRate):
+    """The successes in some evaluations of a training; shown as `52% of the episodes in 12 evaluations`.
+
+    Evaluations repeat their starts while the policy changes, so an interval over all episodes would be too narrow.
+    """
+
+    def __init__(self, evaluations: Sequence[Sequence[float]]) -> None:
+        super().__init__([success for successes in evaluations for success in successes])
+        self["evaluations"] = len(evaluations)
+
+    def __str__(self) -> str:
+        count = self["evaluations"]
+        if count < 2:
+            return super().__str__()
+        return f"{_number_text(Percentage(self.rate))} of the episodes in {count} evaluations"
+
+
 def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Statement]:
     """The statements of the rows that apply, in the order of the table."""
     found = []

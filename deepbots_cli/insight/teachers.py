@@ -84,7 +84,7 @@ def teacher_sees_more(t: TrainingEvidence) -> Numbers | None:
     if training is None or training.teacher is None or not (played := t.scripts.get(training.teacher.script)):
         return None
     script = SuccessRate([trace.outcome == "success" for trace in played])
-    policy = SuccessRate([each.is_success for each in t.final_episodes] or t.late_evaluations)
+    policy = SuccessRate([each.is_success for each in t.final_episodes]) if t.final_episodes else t.late_success
     hidden = unobserved_reads(t.program, training.teacher.script)
     if not hidden or policy.episodes < MIN_EPISODES or policy.rate >= 0.9 * script.rate:
         return None

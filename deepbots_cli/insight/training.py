@@ -25,6 +25,7 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.conditions import instrument_program
 from deepbots_cli.insight.linted import named_source
 from deepbots_cli.insight.scenario_facts import ScenarioFacts
+from deepbots_cli.insight.statements import EvaluationRate
 from deepbots_cli.insight.trace import Array, Trace, TraceRecorder, trace_episodes
 from deepbots_cli.learning import failures
 from deepbots_cli.learning.decline import Decline, decline
@@ -184,12 +185,16 @@ class TrainingEvidence:
         return self.episodes[(self.episodes.steps > low) & (self.episodes.steps <= high)]
 
     @cached_property
-    def late_evaluations(self) -> list[float]:
-        """The successes in the evaluations of the last quarter of the present stage, at least in the last one."""
-        if not self.evaluations or not self.program.defines_success:
-            return []
-        late = [each for each in self.evaluations if each.get("steps", math.inf) > self.first_step + 0.75 * self.stage_steps]
-        return [float(success) for each in late or self.evaluations[-1:] for success in each["successes"]]
+    def late_success(self) -> EvaluationRate:
+        """The success in the evaluations of the last quarter of the present stage, at least in the last one.
+
+        It has no episodes where the scenario defines no success or nothing was evaluated.
+        """
+        if not self.program.defines_success:
+            return EvaluationRate([])
+        begin = self.first_step + 0.75 * self.stage_steps
+        late = [each for each in self.evaluations if each.get("steps", 0) > begin]
+        return EvaluationRate([each["successes"] for each in late or self.evaluations[-1:]])
 
     @cached_property
     def settings(self) -> Mapping[str, Any]:

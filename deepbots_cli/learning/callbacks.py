@@ -29,7 +29,7 @@ from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch
 from deepbots_cli.learning.episodes import Interval, Statistics, Summary
 from deepbots_cli.learning.failures import FailureRecorder
-from deepbots_cli.learning.order import SHORTLIST, Candidate, Shortlist, measure_of
+from deepbots_cli.learning.order import SHORTLIST, Candidate, Shortlist, measure_of, most_episodes
 from deepbots_cli.learning.report import LINE_INTERVAL_S, Reporter, TrainingProgress
 from deepbots_cli.learning.run import PATIENCE, Run
 from deepbots_cli.learning.teacher import Plan, TeacherState, Teaching
@@ -288,7 +288,8 @@ class TrainingCallback:
         self.chosen_steps = 0
         """Steps of the episodes that chose the best model after the training."""
         self.evaluation_seconds = 0.0
-        """Those of this process, by the clock."""
+        """Those of this process, by the clock, without the choice of the best model."""
+        self._steps_before = 0
         self.stopped_by: str | None = None
         """Who stopped the training after an evaluation."""
         self.defines_success = run.program.defines_success
@@ -353,6 +354,7 @@ class TrainingCallback:
         self._kept_candidates = state.candidates
         # Older versions spent up to half of the steps on evaluations: without a limit, none would follow for long.
         self.evaluator.steps = min(state.evaluation_steps, round(URGENT_SHARE * OFF_POLICY_FACTOR * self.statistics.steps))
+        self._steps_before = self.evaluation_steps
         if self.teaching is not None and state.teacher is not None:
             self.teaching.restore(state.teacher)
 
@@ -425,8 +427,20 @@ class TrainingCallback:
             evaluations=self._evaluations,
             evaluated=self._evaluated,
             activity=self._activity,
+            evaluation_seconds=self.evaluation_seconds,
+            evaluation_seconds_left=self._evaluation_seconds_left(),
             is_ending=self._is_ending,
         )
+
+    def _evaluation_seconds_left(self) -> float:
+        """The longest time of further evaluations, confirmations and the choice of the best model, in s."""
+        steps = self.evaluation_steps - self._steps_before
+        if steps <= 0:
+            return 0.0
+        evaluations = max(0.0, self._evaluation_share() * self.total - self.evaluator.steps)
+        confirmations = max(0.0, self._off_policy_factor * COST_SHARE * self.total - self._confirmation_steps)
+        choice = COST_SHARE * self.total
+        return (evaluations + max(confirmations, choice)) * self.evaluation_seconds / steps
 
     def _report(self) -> None:
         self._reported = time.monotonic()
@@ -578,17 +592,19 @@ class TrainingCallback:
         if self.confirmed is not None and self._until_solved:
             return
         scenario, stage = self.curriculum.scenario_of(self.curriculum.index), self.curriculum.name
-        count, before = len(self.shortlist.candidates), self.best
+        count, before, played = len(self.shortlist.candidates), self.best, 0
 
         def play(model: Path, numbers: range) -> list[Episode]:
+            nonlocal played
+            self._activity = f"choosing the best of {count} models on new starts: {played} of at most {most_episodes(count)} episodes"
+            self._report()
+            played += len(numbers)
             first = EVALUATION_EPISODES
             seeds = evaluation_seeds(self.run.record.seed, range(first + numbers.start, first + numbers.stop))
             return self.evaluator.play(load(model), scenario, self.interruption, seeds, stage, here=True)
 
         if count < 2 or before is None:
             return
-        self._activity = f"playing new starts with the {count} best models"
-        self._report()
         self.chosen_steps = self.shortlist.choose(play, COST_SHARE * self.statistics.steps)
         self._activity = ""
         best = self.best

@@ -141,6 +141,15 @@ def play_off(
     return [best, *ordered(others, measure)], steps
 
 
+def most_episodes(models: int) -> int:
+    """The episodes of a play-off of so many models that no limit of steps ends."""
+    episodes, per_model = 0, FIRST_ROUND
+    while models > 1:
+        episodes += models * per_model
+        models, per_model = (models + 1) // 2, 2 * per_model
+    return episodes
+
+
 def copy_model(source: Path, target: Path) -> None:
     """Copy the file of a model; the target is replaced whole."""
     draft = target.with_name(f".{target.stem}.new")

@@ -55,6 +55,7 @@ class TrainingProgress:
     success. `solved` is the criterion of the scenario, `best` the best model by the measure of the task, `evaluated` that of the last
     evaluation, `stage` the stage of the curriculum with its criterion, for people to read. `period` is the time of a step in s,
     `evaluations` their number in this process, and `activity` what the training does beside learning, such as a confirmation.
+    `evaluation_seconds` is the time of evaluations in this process, and `evaluation_seconds_left` the longest that may follow.
     With `is_ending`, no further steps follow.
     """
 
@@ -71,7 +72,17 @@ class TrainingProgress:
     evaluations: int = 0
     evaluated: Candidate | None = None
     activity: str = ""
+    evaluation_seconds: float = 0.0
+    evaluation_seconds_left: float = 0.0
     is_ending: bool = False
+
+    def seconds_left(self, first_step: int, elapsed: float) -> float | None:
+        """The longest time until the training ends, in s, after `elapsed` s since `first_step`; None before a step was timed."""
+        steps = self.steps - first_step
+        if steps <= 0 or self.steps >= self.total_steps or self.is_ending:
+            return None
+        seconds_per_step = max(0.0, elapsed - self.evaluation_seconds) / steps
+        return (self.total_steps - self.steps) * seconds_per_step + self.evaluation_seconds_left
 
 
 class Reporter:
@@ -100,6 +111,7 @@ class ProgressReporter(Reporter):
         self._stream = sys.stderr if stream is None else stream
         self._live: Live | None = None
         self._first, self._began, self._shown, self._tenth, self._evaluations = 0, 0.0, 0.0, 0, 0
+        self._activity = ""
 
     def note(self, text: str) -> None:
         if self._live is None:
@@ -121,26 +133,29 @@ class ProgressReporter(Reporter):
     def update(self, progress: TrainingProgress) -> None:
         now = time.perf_counter()
         speed = (progress.steps - self._first) / max(1e-9, now - self._began)
+        seconds_left = progress.seconds_left(self._first, now - self._began)
         if self._live is not None:
             is_urgent = progress.steps >= progress.total_steps or progress.activity
             if now - self._shown >= REFRESH_INTERVAL_S or is_urgent:
-                self._live.update(_table(progress, speed, now - self._began), refresh=True)
+                self._live.update(_table(progress, speed, now - self._began, seconds_left), refresh=True)
                 self._shown = now
             return
         tenth, since = 10 * progress.steps // progress.total_steps, now - self._shown
         if progress.activity:
-            print(f"{progress.steps:,} of {progress.total_steps:,} steps  {progress.activity} ...", file=self._stream, flush=True)
-            self._shown = now
+            what = progress.activity.partition(":")[0]
+            if what != self._activity or since >= EVALUATION_INTERVAL_S:
+                print(f"{progress.steps:,} of {progress.total_steps:,} steps  {progress.activity} ...", file=self._stream, flush=True)
+                self._activity, self._shown = what, now
             return
         evaluated = progress.evaluations > self._evaluations and since >= EVALUATION_INTERVAL_S
         if tenth > self._tenth or evaluated or since >= LINE_INTERVAL_S:
-            values = progress_values(progress, speed)
+            values = progress_values(progress, speed, seconds_left)
             values.pop("episodes", None)
             if progress.evaluations == self._evaluations:  # said by an earlier line
                 values = {name: text for name, text in values.items() if not name.endswith("evaluation")}
             self._tenth, self._evaluations, self._shown = tenth, progress.evaluations, now
-            found = [text if name in ("speed", "stage", "remaining") else f"{name} {text}" for name, text in values.items()]
-            print(f"{progress.steps:,} of {progress.total_steps:,} steps", *found, sep="  ", file=self._stream, flush=True)
+            parts = [text if name in ("speed", "stage", "remaining") else f"{name} {text}" for name, text in values.items()]
+            print(f"{progress.steps:,} of {progress.total_steps:,} steps", *parts, sep="  ", file=self._stream, flush=True)
 
     def stop(self) -> None:
         if self._live is not None:
@@ -240,7 +255,7 @@ class GroupProgressReporter(GroupReporter):
         progress = self._progress.get(item)
         if progress is None:
             return cells
-        values = progress_values(progress, 0.0)
+        values = progress_values(progress)
         cells |= {"steps": f"{progress.steps:,} of {progress.total_steps:,}", "episodes": values["episodes"]}
         return cells | {name: values[name] for name in ("return", "success") if name in values}
 
@@ -292,14 +307,14 @@ def reporter(progress: bool | Reporter) -> Reporter:
     return ProgressReporter() if progress else Reporter()
 
 
-def progress_values(progress: TrainingProgress, speed: float) -> dict[str, str]:
+def progress_values(progress: TrainingProgress, speed: float = 0.0, seconds_left: float | None = None) -> dict[str, str]:
     """The rows of the display, by name: what is reached, beside what `solved` asks for."""
     solved, rows = progress.solved, {}
     if progress.success_rate is not None:
-        goal = f" of {solved.success_rate:.0%}" if solved and solved.success_rate is not None else ""
+        goal = f" (needs {100 * solved.success_rate:g}%)" if solved and solved.success_rate is not None else ""
         rows["success"] = f"{progress.success_rate:.0%}{goal}"
     if progress.mean_return is not None:
-        goal = f" of {solved.mean_return:g}" if solved and solved.mean_return is not None else ""
+        goal = f" (needs {solved.mean_return:g})" if solved and solved.mean_return is not None else ""
         rows["return"] = f"{progress.mean_return:.1f}{goal}"
     for name, model in (("last evaluation", progress.evaluated), ("best evaluation", progress.best)):
         if model is not None:
@@ -313,9 +328,8 @@ def progress_values(progress: TrainingProgress, speed: float) -> dict[str, str]:
     rows["episodes"] = f"{progress.episodes:,}"
     if speed >= 1.0:
         rows["speed"] = f"{speed:,.0f} steps/s"
-    if speed > 0.0 and progress.steps < progress.total_steps and not progress.is_ending:
-        most = "at most " if progress.solved else ""
-        rows["remaining"] = f"{most}{duration((progress.total_steps - progress.steps) / speed)} to go"
+    if seconds_left is not None:
+        rows["remaining"] = f"at most {duration(seconds_left)} to go"
     return rows
 
 
@@ -333,14 +347,14 @@ def duration(seconds: float) -> str:
     return f"{whole // 60}:{whole % 60:02} min" if whole < 3600 else f"{whole // 3600}:{whole % 3600 // 60:02} h"
 
 
-def _table(progress: TrainingProgress, speed: float, elapsed: float) -> Group:
+def _table(progress: TrainingProgress, speed: float, elapsed: float, seconds_left: float | None) -> Group:
     """The display of a terminal: a bar, and a row for each value."""
     from rich.console import Group
     from rich.progress_bar import ProgressBar as Bar
     from rich.table import Table
     from rich.text import Text
 
-    values = progress_values(progress, speed)
+    values = progress_values(progress, speed, seconds_left)
     values["time"] = "  ".join(filter(None, [f"{duration(elapsed)} so far", values.pop("remaining", "")]))
     if "speed" in values and progress.period:
         values["speed"] += f", {speed * progress.period:,.0f} times real time"

@@ -482,9 +482,9 @@ class Solved:
 
     @property
     def description(self) -> str:
-        """`mean return 195 over 100 episodes`."""
-        wanted = [f"mean return {self.mean_return:g}"] if self.mean_return is not None else []
-        wanted += [f"success rate {self.success_rate:g}"] if self.success_rate is not None else []
+        """`mean return >= 195 over 100 episodes`."""
+        wanted = [f"mean return >= {self.mean_return:g}"] if self.mean_return is not None else []
+        wanted += [f"success rate >= {100 * self.success_rate:g} %"] if self.success_rate is not None else []
         return f"{' and '.join(wanted)} over {self.episodes} episodes"
 
 

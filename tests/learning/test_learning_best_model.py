@@ -183,6 +183,7 @@ def test_the_best_of_many_small_evaluations_is_chosen_again_on_new_starts(tmp_pa
     assert result.best.episodes is not None
     assert result.best.episodes > EVALUATION_EPISODES
     assert any(f"that of {third:,} steps is the best on new starts" in note for note in notes.notes)
+    assert any(" models on new starts: 0 of at most " in activity for activity in notes.activities)
     # The printed result comes from starts that did not choose the model.
     chosen = {seed for seed in build.seeds if seed in NEW_STARTS}
     before = len(build.seeds)

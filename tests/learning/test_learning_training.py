@@ -386,10 +386,14 @@ def test_the_table_of_a_terminal_fits_80_columns_and_shows_a_success_rate_of_0(m
     lines = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", stream.getvalue()).splitlines()
     assert max(map(len, lines)) <= 80
     text = " ".join(" ".join(lines).split())
-    assert all(
-        part in text
-        for part in ("success 0% of 90%", "return 26.6 of 195", "best evaluation 10% success at 12,000 steps", "crowded (2 of 3)", "so far")
-    )
+    results = ("success 0% (needs 90%)", "return 26.6 (needs 195)", "best evaluation 10% success at 12,000 steps")
+    assert all(part in text for part in (*results, "crowded (2 of 3)", "so far"))
+
+
+def test_the_time_to_go_includes_evaluations_and_the_choice_of_the_best_model() -> None:
+    progress = TrainingProgress(600, 1_000, 9, 1.0, None, evaluation_seconds=40.0, evaluation_seconds_left=30.0)
+    assert progress.seconds_left(100, elapsed=90.0) == 400 * (90.0 - 40.0) / 500 + 30.0
+    assert TrainingProgress(1_000, 1_000, 9, 1.0, None).seconds_left(0, elapsed=90.0) is None
 
 
 def test_a_drawn_value_stands_in_the_log_of_its_episode(tmp_path: Path) -> None:

@@ -159,7 +159,7 @@ def command(
         with terminal.progress() as show:
             for episode in running:
                 done.append(episode)
-                if show and episodes > MAX_SHOWN:
+                if episodes > MAX_SHOWN:
                     show(len(done), episodes)
     _show(program, done, {"digest": compiled.digest, "engine": name, **data, "driver": driver}, (), as_json=as_json)
 

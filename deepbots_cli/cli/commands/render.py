@@ -271,7 +271,7 @@ def _record(world: Player, file: Path, wanted: _Episodes, steps: int | None) -> 
     count = len(wanted.numbers)
     with terminal.progress(always=False) as show:
         done = iter(range(1, count + 1))
-        return record(world, file, wanted.seed, wanted.numbers, lambda _: show(next(done), count) if show else None, steps=steps)
+        return record(world, file, wanted.seed, wanted.numbers, lambda _: show(next(done), count), steps=steps)
 
 
 def _checked_kind(file: Path, given: Sequence[str]) -> str:

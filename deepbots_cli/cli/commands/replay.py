@@ -104,7 +104,7 @@ def command(
         terminal.note(note)
     with closing(Player(shown, "zero")) as player, terminal.progress(always=False) as show:
         count = len(found.episodes)
-        difference = verify(found, player, lambda done: show(done, count) if show else None, tolerance=tolerance)
+        difference = verify(found, player, lambda done: show(done, count), tolerance=tolerance)
     steps = sum(len(each.steps) - 1 for each in found.episodes)
     how = f"within {tolerance:g}" if tolerance else "to the bit"
     text = f"{found.path}: {count} episode{'s' * (count > 1)} and {steps} steps are the same {how}"

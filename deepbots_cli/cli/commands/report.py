@@ -74,7 +74,7 @@ def command(
     if isinstance(report, of_runs.Report):
         shown, permissions = report.choose_episodes(episodes), Permissions(code=allow_code)
         with terminal.progress("episodes") as show:
-            report.repeat_episodes(shown, show or (lambda done, of: None), clips=clips, permissions=permissions)
+            report.repeat_episodes(shown, show, clips=clips, permissions=permissions)
         with terminal.transient_line("looking for the causes ..."):
             report.find_causes(permissions)
     with terminal.transient_line("drawing ..."):
