@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from deepbots_cli.insight.rewards import rising_term
 from deepbots_cli.insight.statements import Numbers
 from deepbots_cli.insight.training import TrainingEvidence, usual_settings
 from deepbots_cli.learning.decline import Decline
@@ -96,8 +97,9 @@ def fell_apart(t: TrainingEvidence) -> Numbers | None:
             "likelihood": 0.5,
             "fall": text[0].upper() + text[1:],
             "reasons": f"Meanwhile the mean return rose from {before:.4g} to {after:.4g}: the reward pays for something other than"
-            " success.",
-            "advice": "Make a success earn more than everything else that an episode can collect.",
+            f" success{_paying_term(t)}.",
+            "advice": "Make a success earn more than everything else that an episode can collect; `deepbots lint` and"
+            " `lint --exploits` look for such payments.",
             "suspects": [],
         }
     found = suspects(t, fall)[:_SHOWN]
@@ -117,13 +119,19 @@ def fell_apart(t: TrainingEvidence) -> Numbers | None:
 
 
 def _return_meanwhile(t: TrainingEvidence, fall: Decline) -> tuple[float, float] | None:
-    """The mean return of the evaluations at the best model and since the fall of the success rate; None for a fall of the return."""
+    """The mean return of the evaluations at the best model and of the last ones; None for a fall of the return."""
     if fall.measure != "success_rate":
         return None
     own = [(each["steps"], fmean(each["returns"])) for each in t.evaluations if "steps" in each]
     best = [value for steps, value in own if steps == fall.best_steps]
-    late = [value for steps, value in own if steps >= fall.since_steps]
+    late = [value for steps, value in own if steps >= fall.last_steps]
     return (best[0], fmean(late)) if best and late else None
+
+
+def _paying_term(t: TrainingEvidence) -> str:
+    """The reward term that rose most, in words; empty where none rose."""
+    rise = rising_term(t)
+    return "" if rise is None else f". The term '{rise[0]}' rose most, from {rise[1]:.4g} to {rise[2]:.4g} per episode"
 
 
 def suspects(t: TrainingEvidence, fall: Decline) -> list[Suspect]:

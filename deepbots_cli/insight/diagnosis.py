@@ -97,9 +97,10 @@ _UNLEARNABLE = {
 
 
 def _success_earns_more(t: TrainingEvidence) -> bool:
-    """Whether the successes of the training have the higher mean return."""
-    is_success = t.episodes.successes > 0
-    successes, others = t.episodes.returns[is_success], t.episodes.returns[~is_success]
+    """Whether the successes at the end of the training have the higher mean return."""
+    late = t.episodes_between(0.75, 1.0)
+    is_success = late.successes > 0
+    successes, others = late.returns[is_success], late.returns[~is_success]
     return min(len(successes), len(others)) >= MIN_EPISODES and float(successes.mean()) > float(others.mean())
 
 

@@ -312,7 +312,7 @@ def reward_apart_from_success(t: TrainingEvidence) -> Numbers | None:
     if min(len(won), len(lost)) < MIN_EPISODES or late.successes.mean() >= 0.8:
         return None
     rates = [SuccessRate(part.successes) for part in (t.episodes_between(0.0, 0.25), t.episodes_between(0.75, 1.0))]
-    rise, term = returns_rise(t), _rising_term(t)
+    rise, term = returns_rise(t), rising_term(t)
     rising = "" if term is None else f" '{term[0]}' rises most, from {term[1]:.3g} to {term[2]:.3g} per episode."
     error = 2 * float(np.hypot(won.std() / np.sqrt(len(won)), lost.std() / np.sqrt(len(lost))))
     numbers = {"return_of_success": float(won.mean()), "return_without": float(lost.mean()), "early": rates[0], "late": rates[1],
@@ -329,7 +329,7 @@ def reward_apart_from_success(t: TrainingEvidence) -> Numbers | None:
     return {**numbers, "likelihood": 0.91 if falls else 0.72, "how": how}
 
 
-def _rising_term(t: TrainingEvidence) -> tuple[str, float, float] | None:
+def rising_term(t: TrainingEvidence) -> tuple[str, float, float] | None:
     """The reward term that rises most in the present stage, with its mean per episode in the first and in the last quarter."""
     ends = []
     for term in t.program.agent.reward:

@@ -10,12 +10,12 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from shlex import quote
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -308,6 +308,8 @@ class TrainingCallback:
         self._evaluations = 0
         self._evaluated: Candidate | None = None
         self._stop_noted, self._refused_noted = False, False
+        self._postponed = 0
+        """The number of the confirmation that was postponed last."""
         newest = zip(run.program.agent.numbers, run.program.agent.newest, strict=True)
         self._seen = {number.full_name: place for number, place in newest if number.clip and not number.is_truth}
         """Where the newest value of each clipped number stands in an observation; a truth value is always at an end of its range."""
@@ -531,6 +533,13 @@ class TrainingCallback:
         """Play new starts to show that the present networks solve the task, unless failed confirmations took their share of the steps."""
         statistics, number = self.statistics, self._confirmations + 1
         if number > 1 and self._confirmation_steps > self._off_policy_factor * COST_SHARE * statistics.steps:
+            if self._postponed != number:
+                self._postponed = number
+                following = math.ceil(self._confirmation_steps / (self._off_policy_factor * COST_SHARE))
+                self.reporter.note(
+                    f"an evaluation meets `solved`; the next confirmation may follow after {following:,} steps, since those that "
+                    f"failed took {COST_SHARE * self._off_policy_factor:.0%} of the steps"
+                )
             return
         assert statistics.solved is not None
         plan = Confirmation.plan(statistics.solved, number, self._possible_returns())
@@ -559,14 +568,15 @@ class TrainingCallback:
             score = f"{summary.successes:,} of {summary.episodes:,} new starts succeed"
         outcome = "confirmed" if passes else "not confirmed"
         going_on = "" if passes and self._until_solved else "; the training goes on"
-        self.reporter.note(f"{outcome} after {statistics.steps:,} steps: {score}{going_on}")
+        needed = "" if passes else f", and it needs {plan.requirement}"
+        self.reporter.note(f"{outcome} after {statistics.steps:,} steps: {score}{needed}{going_on}")
         if not passes:
             return
         self.confirmed = Confirmed(root, number, done)
         statistics.note_solved(summary.mean_return, summary.success_rate)
         if self._until_solved:
             assert self._evaluated is not None
-            self.shortlist.put_first(self._evaluated.joined(summary), self.learner.save)
+            self.shortlist.put_first(Candidate.of(self._evaluated.steps, summary), self.learner.save)
 
     def _possible_returns(self) -> Interval:
         """The lowest and the highest return: the possible ones, or where they are unknown, those of all evaluations so far."""
@@ -601,7 +611,10 @@ class TrainingCallback:
             played += len(numbers)
             first = EVALUATION_EPISODES
             seeds = evaluation_seeds(self.run.record.seed, range(first + numbers.start, first + numbers.stop))
-            return self.evaluator.play(load(model), scenario, self.interruption, seeds, stage, here=True)
+            learner = load(model)
+            done = self.evaluator.play(learner, scenario, self.interruption, seeds, stage, here=True)
+            self._append("choice.jsonl", {"model": model.stem, "first_start": numbers.start}, done)
+            return done
 
         if count < 2 or before is None:
             return
@@ -622,16 +635,19 @@ class TrainingCallback:
         self.log.record("eval/mean_length", summary.mean_length)
         if self.defines_success:
             self.log.record("eval/success_rate", summary.success_rate)
+        about = {"steps": self.statistics.steps, "stage": self.curriculum.name, "is_best": is_best}
+        self._append("training.jsonl", about, done)
+
+    def _append(self, name: str, about: Mapping[str, Any], done: Sequence[Episode]) -> None:
+        """A line for episodes in a file of `evaluations`."""
         line = {
-            "steps": self.statistics.steps,
-            "stage": self.curriculum.name,
-            "is_best": is_best,
+            **about,
             "returns": [episode.total_return for episode in done],
             "lengths": [episode.length for episode in done],
             "successes": [episode.is_success for episode in done],
             "ended_by": [episode.ended_by for episode in done],
         }
-        with (self.run.evaluations / "training.jsonl").open("a", encoding="utf-8") as file:
+        with (self.run.evaluations / name).open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
 
     def _record_scalars(self) -> None:

@@ -89,17 +89,23 @@ class Confirmation:
     def plan(solved: Solved, number: int, returns: Interval) -> Confirmation | None:
         """The next confirmation; None if no number of episodes up to 100 000 is enough."""
         for episodes in range(solved.episodes, _MAX_EPISODES, solved.episodes):
-            successes = 0
+            planned = Confirmation.by(solved, number, returns, episodes)
             if solved.success_rate is not None:
-                level = error_level(number)
-                shown = required_successes(episodes, max(0.0, solved.success_rate - MARGIN), level)
-                successes = max(shown, math.ceil(solved.success_rate * episodes - 1e-9))
-                if probability_of_at_least(successes, episodes, (1 + solved.success_rate) / 2) < POWER:
+                halfway = (1 + solved.success_rate) / 2
+                if probability_of_at_least(planned.successes, episodes, halfway) < POWER:
                     continue
-            planned = Confirmation(solved, number, returns, episodes, successes)
             if planned._return_passes([returns[1]] * episodes):
                 return planned
         return None
+
+    @staticmethod
+    def by(solved: Solved, number: int, returns: Interval, episodes: int) -> Confirmation:
+        """A confirmation by this number of episodes, which may be too few to pass with."""
+        successes = 0
+        if solved.success_rate is not None:
+            shown = required_successes(episodes, max(0.0, solved.success_rate - MARGIN), error_level(number))
+            successes = max(shown, math.ceil(solved.success_rate * episodes - 1e-9))
+        return Confirmation(solved, number, returns, episodes, successes)
 
     @property
     def level(self) -> float:

@@ -1,14 +1,15 @@
 """Whether a training fell apart: its last held-out evaluations are worse than earlier ones by more than chance.
 
 The evaluations of a training have 20 fixed starts each, and the last one is at its end. Those of the last quarter of the
-present stage are compared with every earlier window of one or three evaluations in a row. A window shows a decline if three things hold:
+present stage, and the last two alone, are compared with every earlier window of one or three evaluations in a row. A window shows a
+decline if three things hold:
 
 - Its episodes are better than the last ones by more than chance: with Fisher's exact test of two proportions where the
   task asks for success, with Student's test of two means otherwise. The best of many windows looks better than it is, so
-  the level of each test is `FALSE_ALARMS` divided by the number of windows (Bonferroni's inequality).
+  the level of each test is `FALSE_ALARMS` divided by the number of comparisons (Bonferroni's inequality).
 - The difference is at least `MIN_EFFECT`: points of the success rate, or a share of the range of returns since then. It
   is also at least `MIN_SHARE` of the range of all returns, so that small differences between perfect returns do not count.
-  A single evaluation must differ by `MIN_EFFECT_OF_ONE` and `MIN_SHARE_OF_ONE`: the policy changes from update to update.
+  One or two evaluations must differ by `MIN_EFFECT_OF_FEW` and `MIN_SHARE_OF_FEW`: the policy changes from update to update.
 - The very last evaluation is lower by this difference too, so that the training has not recovered.
 
 `tests/learning/test_decline.py` measures how often healthy trainings raise a false alarm. Nothing is compiled, and neither
@@ -32,7 +33,7 @@ FALSE_ALARMS = 0.01
 """The largest probability that a training whose policy stays the same is said to decline."""
 MIN_EFFECT = 0.1
 MIN_SHARE = 0.05
-MIN_EFFECT_OF_ONE, MIN_SHARE_OF_ONE = 0.25, 0.2
+MIN_EFFECT_OF_FEW, MIN_SHARE_OF_FEW = 0.25, 0.2
 LAST_SHARE = 0.25
 """The part of the present stage whose evaluations are compared with earlier ones."""
 _WINDOWS = (1, 3)
@@ -46,7 +47,9 @@ class Decline:
         measure: What the task asks for, of which the values are.
         best_value: The value of the best window, a mean over its episodes.
         best_steps: Steps of the training at the best evaluation in this window.
-        last_value: The value in the last quarter.
+        last_value: The value of the last evaluations.
+        last: What the last evaluations are, in words.
+        last_steps: Steps at the first of them.
         since_steps: Steps at the first of the worse evaluations: the split into two means with the smallest squared error.
         best_episodes: Episodes of `best_value`, as `last_episodes` of `last_value`.
     """
@@ -58,6 +61,8 @@ class Decline:
     since_steps: int
     best_episodes: int
     last_episodes: int
+    last: str
+    last_steps: int
 
     def as_json(self) -> dict[str, Any]:
         """The attributes, and the sentence."""
@@ -70,7 +75,7 @@ class Decline:
         best, last = map("{:.0%}".format if self.measure == "success_rate" else "{:.4g}".format, (self.best_value, self.last_value))
         return (
             f"the training got worse: the {name} of its evaluations fell from {best} at {self.best_steps:,} steps to {last}"
-            f" in the last quarter ({self.last_episodes:,} episodes), after about {self.since_steps:,} steps"
+            f" in {self.last} ({self.last_episodes:,} episodes), after about {self.since_steps:,} steps"
         )
 
 
@@ -96,20 +101,30 @@ def decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decli
     begin, own = (own[before[-1]]["steps"], own[before[-1] + 1 :]) if before else (0.0, own)
     if len(own) < 2:
         return None
+    border = own[-1]["steps"] - LAST_SHARE * (own[-1]["steps"] - begin)
+    quarter = sum(each["steps"] <= border for each in own)
+    splits = {quarter: "the last quarter"} | ({len(own) - 2: "the last two evaluations"} if quarter < len(own) - 2 else {})
+    for split, last in splits.items():
+        if (fall := _fall(own, split, last, measure, level=FALSE_ALARMS / len(splits))) is not None:
+            return fall
+    return None
+
+
+def _fall(own: Sequence[Mapping[str, Any]], split: int, last: str, measure: Measure, *, level: float) -> Decline | None:
+    """By how much the evaluations from `split` on are worse than earlier ones, if a test at this level shows it."""
     is_rate = measure == "success_rate"
     scores = [list(map(float, each["successes" if is_rate else "returns"])) for each in own]
-    border = own[-1]["steps"] - LAST_SHARE * (own[-1]["steps"] - begin)
-    split = sum(each["steps"] <= border for each in own)
-    last = _joined(scores[split:])
-    least, share = (MIN_EFFECT, MIN_SHARE) if len(own) - split > 1 else (MIN_EFFECT_OF_ONE, MIN_SHARE_OF_ONE)
+    late = _joined(scores[split:])
+    is_few = len(own) - split == 1 or last != "the last quarter"
+    least, share = (MIN_EFFECT_OF_FEW, MIN_SHARE_OF_FEW) if is_few else (MIN_EFFECT, MIN_SHARE)
     windows = [range(place, place + size) for size in _WINDOWS for place in range(split - size + 1)]
     better: list[tuple[float, range]] = []
     for window in windows:
         episodes = _joined([scores[number] for number in window])
         effect = least if is_rate else max(least * _range(scores[window.start :]), share * _range(scores))
-        if fmean(episodes) - max(fmean(last), fmean(scores[-1])) < effect or effect <= 0:
+        if fmean(episodes) - max(fmean(late), fmean(scores[-1])) < effect or effect <= 0:
             continue
-        if (fisher if is_rate else student)(episodes, last) <= FALSE_ALARMS / len(windows):
+        if (fisher if is_rate else student)(episodes, late) <= level / len(windows):
             better.append((fmean(episodes), window))
     if not better:
         return None
@@ -120,10 +135,12 @@ def decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decli
         measure=measure,
         best_value=value,
         best_steps=int(own[best]["steps"]),
-        last_value=fmean(last),
+        last_value=fmean(late),
         since_steps=int(own[best + _change(means[best:])]["steps"]),
         best_episodes=sum(len(scores[number]) for number in window),
-        last_episodes=len(last),
+        last_episodes=len(late),
+        last=last,
+        last_steps=int(own[split]["steps"]),
     )
 
 

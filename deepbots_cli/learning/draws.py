@@ -122,11 +122,13 @@ class DrawnEffects:
                 f"with {self.starts:,} episodes, a difference of {amount} between the lowest and the highest quarter"
                 f" of a value is found with a probability of {POWER:.0%}"
             )
+        if count and self.detectable is None:
+            size = ""
         verb = "has" if count == 1 else "have"
         named = f"{count} of {many} {verb}" if count else f"none of {many} has"
         if total == 1:
             named = f"{many} has" if count else f"{many} does not have"
-        return f"{named} an effect on {'success' if self.outcome == 'success' else 'the return'} ({size})"
+        return f"{named} an effect on {'success' if self.outcome == 'success' else 'the return'}{f' ({size})' * bool(size)}"
 
     def as_json(self, *, success_defined: bool) -> dict[str, Any]:
         """The fields, with the statistics of each part; those of success are None where no success is defined."""

@@ -261,11 +261,16 @@ def confirmation_result(run: Run, number: int, seed: int, done: Sequence[Episode
 def evaluate_trained(run: Run, *, permissions: Permissions = Permissions(), on_episode: OnEpisode | None = None) -> EvaluationResult:
     """The evaluation after a training: the confirmation that ended it, or else new episodes.
 
-    The confirmation is kept in the run already.
+    The confirmation is kept in the run already. New episodes are as many as `solved` asks for; if they meet it, there are more of
+    them where so few may do so by luck.
     """
     quoted = quoted_episodes(run)
     if quoted is None or quoted[1].confirmation is None:
-        return evaluate(run, permissions=permissions, on_episode=on_episode)
+        result = evaluate(run, permissions=permissions, on_episode=on_episode)
+        required = result.required_episodes or 0
+        if result.solved is None and required > result.episodes:
+            return evaluate(run, episodes=required, permissions=permissions, on_episode=on_episode)
+        return result
     kept = quoted[1]
     return confirmation_result(run, kept.confirmation or 1, kept.seed, kept.outcomes)
 
@@ -380,12 +385,12 @@ class _Setting:
             lines = "\n  ".join(differences)
             raise RunError(f"{run.path} was trained with other observations, actions or messages than {program.name} defines:\n  {lines}")
         self.program, self.case, self.stage = program.variant(case, stage), case, stage
-        self.episodes = default_episodes(program, case) if episodes is None else episodes
         self.seed = run.evaluation_seed if seed is None else seed
-        if self.episodes < 1 or self.seed < 0:
-            raise UsageError(f"episodes must be at least 1 and the seed at least 0, not {self.episodes} and {self.seed}")
         engine = engine or run.engine_for(self.program)
         self.engine = None if build else engine
+        self.episodes = self._usual_episodes() if episodes is None else episodes
+        if self.episodes < 1 or self.seed < 0:
+            raise UsageError(f"episodes must be at least 1 and the seed at least 0, not {self.episodes} and {self.seed}")
         self.build = build or supervisor_factory(engine, permissions=permissions)
 
     def play(
@@ -412,12 +417,23 @@ class _Setting:
             return play_episodes(model, worlds, seeds, deterministic=policy.deterministic, on_episode=on_episode, until=until)
 
     @property
+    def _is_of_training(self) -> bool:
+        """Whether the scenario and the engine are those of the training."""
+        is_own = self.judged is None and self.case is None and self.stage is None
+        return is_own and self.engine == self.run.record.engine
+
+    def _usual_episodes(self) -> int:
+        """The number of episodes: that of the scenario or the case, or that of the confirmation which they repeat."""
+        count, result = default_episodes((self.judged or self.run).program, self.case), self.run.record.result
+        best = None if result is None or not self._has_confirmed_starts else result.best_model
+        return count if best is None or best.episodes is None else best.episodes
+
+    @property
     def _has_confirmed_starts(self) -> bool:
         """Whether these are the starts, scenario and engine of the confirmation that ended the training."""
-        is_own = self.judged is None and self.case is None and self.stage is None
         result = self.run.record.result
         is_same_seed = result is not None and result.confirmed_seed == self.seed
-        return is_own and is_same_seed and self.engine == self.run.record.engine
+        return is_same_seed and self._is_of_training
 
     def result(
         self, model: str, done: Sequence[Episode], *, deterministic: bool = True, confirmation: int | None = None
@@ -430,7 +446,10 @@ class _Setting:
         low, high = possible_returns(program) if engine else UNBOUNDED  # a world of the caller may pay anything
         file = self.run.model(model)
         found = Summary.of_episodes(done, (low, high), ALPHA if confirmation is None else error_level(confirmation))
-        is_solved, verdict = solved_verdict(solved, found.episodes, found.mean_return, found.success_rate)
+        is_confirmed = run.record.result is not None and run.record.result.confirmed_seed is not None
+        number = 1 if run.record.result is None else run.record.result.confirmations + 1
+        needs_no_confirmation = confirmation is not None or (is_confirmed and model == "best" and self._is_of_training)
+        is_solved, verdict, required = solved_verdict(solved, done, (low, high), None if needs_no_confirmation else number)
         digest = (self.judged or run).digest
         elsewhere, overrides = (None, ()) if self.judged is None or digest == run.record.digest else self._elsewhere(self.judged)
         circumstances = [f"scenario {elsewhere}"] if elsewhere else []
@@ -465,7 +484,7 @@ class _Setting:
             agent=program.agent.name,
             seed=self.seed,
             planned=self.episodes,
-            required_episodes=solved.episodes if solved else None,
+            required_episodes=required,
             deterministic=deterministic,
             notes=tuple(notes),
             outcomes=tuple(done),

@@ -17,16 +17,13 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning.environments import WorldFactory
-from deepbots_cli.learning.episodes import Summary
 from deepbots_cli.learning.evaluation import play_models
 from deepbots_cli.learning.learner import steps_of
 from deepbots_cli.learning.order import (
-    FIRST_ROUND,
     Candidate,
     Measure,
     copy_model,
     measure_of,
-    ordered,
     play_off,
 )
 from deepbots_cli.learning.run import BestModel, ModelName, ModelRef, Run, has_model, run_lock
@@ -165,17 +162,8 @@ def _played(
     def play(steps: Sequence[int], numbers: range) -> Iterable[list[Episode]]:
         return play_models(run, [names[each] for each in steps], numbers, watcher=watcher, spread=spread, **options)
 
-    first = range(FIRST_ROUND)
-    every = [Candidate.of(steps, Summary.of_episodes(done)) for steps, done in zip(names, play(list(names), first), strict=True)]
-    judged = ordered(every, measure)
-    half = (len(judged) + 1) // 2
-    better, _ = play_off(
-        judged[:half],
-        lambda candidates, numbers: play([candidate.steps for candidate in candidates], numbers),
-        measure,
-        numbers=range(first.stop, first.stop + 2 * FIRST_ROUND),
-    )
-    return [PlayedModel(names[result.steps], result) for result in (*better, *judged[half:])]
+    results, _ = play_off(list(names), play, measure)
+    return [PlayedModel(names[result.steps], result) for result in results]
 
 
 def _model_count(models: int) -> int:

@@ -103,42 +103,39 @@ def ordered(candidates: Iterable[Candidate], measure: Measure) -> list[Candidate
 
 
 def play_off(
-    candidates: Sequence[Candidate],
-    play: Callable[[Sequence[Candidate], range], Iterable[Sequence[Episode]]],
+    models: Sequence[int],
+    play: Callable[[Sequence[int], range], Iterable[Sequence[Episode]]],
     measure: Measure,
     *,
-    numbers: range = range(FIRST_ROUND),
     max_steps: float = math.inf,
 ) -> tuple[list[Candidate], int]:
-    """Play new starts with candidates, of which the first is the best so far, to find the best one.
+    """Play new starts with models to find the best one.
 
     They play the same starts in rounds, the better half of them twice as many in the next round (sequential halving;
-    Z. Karnin, T. Koren, O. Somekh, ICML 2013).
+    Z. Karnin, T. Koren, O. Somekh, ICML 2013). Only these episodes count: the evaluations that put the models forward
+    have selected them, so their results are better than the models are.
 
     Args:
-        candidates: Models with the results that they have, each with other steps.
-        play: Takes candidates and the numbers of starts, and returns the episodes of each.
+        models: At least one model, by its steps of the training.
+        play: Takes models and the numbers of starts, and returns the episodes of each.
         measure: What the task asks for.
-        numbers: The starts of the first round.
         max_steps: No further round begins after that many steps.
 
     Returns:
-        The candidates with all of their episodes, the best one first; and the number of steps played.
+        The models with their results, the best one first; and the number of steps played.
     """
-    steps = 0
-    remaining = list(candidates)
-    results = {candidate.steps: candidate for candidate in candidates}
-    while len(remaining) > 1 and steps < max_steps:
-        judged = []
-        for candidate, done in zip(remaining, play(remaining, numbers), strict=True):
+    steps, numbers, remaining = 0, range(FIRST_ROUND), list(models)
+    results: dict[int, Candidate] = {}
+    while not results or (len(remaining) > 1 and steps < max_steps):
+        for model, done in zip(remaining, play(remaining, numbers), strict=True):
             steps += sum(episode.length for episode in done)
-            judged.append(candidate.joined(Summary.of_episodes(done)))
-        results |= {candidate.steps: candidate for candidate in judged}
-        remaining = ordered(judged, measure)[: (len(judged) + 1) // 2]
+            summary = Summary.of_episodes(done)
+            results[model] = results[model].joined(summary) if model in results else Candidate.of(model, summary)
+        judged = ordered([results[model] for model in remaining], measure)
+        remaining = [candidate.steps for candidate in judged[: (len(judged) + 1) // 2]]
         numbers = range(numbers.stop, numbers.stop + 2 * len(numbers))
-    best = remaining[0]
-    others = [candidate for candidate in results.values() if candidate.steps != best.steps]
-    return [best, *ordered(others, measure)], steps
+    best = results.pop(remaining[0])
+    return [best, *ordered(results.values(), measure)], steps
 
 
 def most_episodes(models: int) -> int:
@@ -223,9 +220,10 @@ class Shortlist:
         """
         if not self.candidates:
             return 0
+        files = {candidate.steps: self.model(candidate) for candidate in self.candidates}
         self.candidates, steps = play_off(
-            self.candidates,
-            lambda candidates, numbers: (play(self.model(candidate), numbers) for candidate in candidates),
+            list(files),
+            lambda models, numbers: (play(files[model], numbers) for model in models),
             self.measure,
             max_steps=max_steps,
         )

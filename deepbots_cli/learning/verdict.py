@@ -6,11 +6,15 @@ compiled, and torch is not imported.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean
+from typing import NamedTuple
 
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.episodes import meets_solved
+from deepbots_cli.learning.episodes import UNBOUNDED, Interval, meets_solved
 from deepbots_cli.learning.run import (
     EvaluationRecord,
     EvaluationWithEpisodes,
@@ -22,29 +26,75 @@ from deepbots_cli.learning.run import (
     numbered_files,
 )
 from deepbots_cli.program.task import Solved
+from deepbots_cli.rollout import Episode
 
 
-def solved_verdict(solved: Solved | None, episodes: int, mean_return: float, success_rate: float) -> tuple[bool | None, str]:
-    """Whether such an evaluation meets the criterion (None: cannot be told), and why."""
+class SolvedVerdict(NamedTuple):
+    """Whether episodes show that a task is solved.
+
+    Attributes:
+        solved: True: they show it. False: they do not meet the criterion, or would be refused as a confirmation. None: the scenario
+            has no criterion, or more episodes are needed.
+        text: The answer and its reason.
+        required_episodes: The number of episodes from which on there is an answer; None without a criterion.
+    """
+
+    solved: bool | None
+    text: str
+    required_episodes: int | None
+
+
+def solved_verdict(
+    solved: Solved | None, done: Sequence[Episode], returns: Interval = UNBOUNDED, number: int | None = None
+) -> SolvedVerdict:
+    """Whether these episodes show that the task is solved, and why.
+
+    Args:
+        solved: What the scenario asks for.
+        done: The episodes.
+        returns: The lowest and the highest possible return.
+        number: The number of the confirmation that the episodes are; None for a policy that is confirmed, whose episodes need only
+            meet the criterion.
+    """
+    episodes, mean_return = len(done), fmean(episode.total_return for episode in done)
+    success_rate = fmean(episode.is_success for episode in done)
     if solved is None:
-        return None, "the scenario has no `solved` criterion"
+        return SolvedVerdict(None, "the scenario has no `solved` criterion", None)
     if episodes < solved.episodes and solved.success_rate is not None:
         from deepbots_cli.learning.statistics import gate_rate  # which imports scipy
 
         certain = gate_rate(solved.success_rate, round(success_rate * episodes), episodes, solved.episodes)
         if certain.met is False:
-            return False, f"not solved: a success rate of {solved.success_rate:.1%} is required, and {certain.reason}"
+            text = f"not solved: a success rate of {solved.success_rate:.1%} is required, and {certain.reason}"
+            return SolvedVerdict(False, text, solved.episodes)
     if episodes < solved.episodes:
         evaluated = f"{episodes} {'was' if episodes == 1 else 'were'} evaluated"
         needed = f"the criterion needs {solved.episodes} episodes and only {evaluated}"
-        return None, f"solved: unknown, because {needed}; evaluate with `--episodes {solved.episodes}`"
+        text = f"solved: unknown, because {needed}; evaluate with `--episodes {solved.episodes}`"
+        return SolvedVerdict(None, text, solved.episodes)
     reasons = []
     if solved.mean_return is not None:
         reasons.append(f"mean return {mean_return:.4g} where {solved.mean_return:g} is required")
     if solved.success_rate is not None:
         reasons.append(f"success rate {success_rate:.1%} where {solved.success_rate:.1%} is required")
-    met = meets_solved(solved, mean_return, success_rate)
-    return met, f"{'solved' if met else 'not solved'}: {', '.join(reasons)}"
+    if not meets_solved(solved, mean_return, success_rate):
+        return SolvedVerdict(False, f"not solved: {', '.join(reasons)}", solved.episodes)
+    if number is None:
+        return SolvedVerdict(True, f"solved: {', '.join(reasons)}", solved.episodes)
+    from deepbots_cli.learning.confirmation import Confirmation
+
+    lowest, highest = min(episode.total_return for episode in done), max(episode.total_return for episode in done)
+    bounds = (returns[0] if math.isfinite(returns[0]) else lowest, returns[1] if math.isfinite(returns[1]) else highest)
+    confirmation = Confirmation.by(solved, number, bounds, episodes)
+    if confirmation.passes(done):
+        return SolvedVerdict(True, f"solved: {', '.join(reasons)}", solved.episodes)
+    plan = Confirmation.plan(solved, number, bounds)
+    if plan is not None and plan.episodes > episodes:
+        luck = f"{', '.join(reasons)} may be luck in {episodes:,} episodes"
+        text = f"solved: unknown, because {luck}; evaluate with `--episodes {plan.episodes}`"
+        return SolvedVerdict(None, text, plan.episodes)
+    text = f"not solved: {', '.join(reasons)}, and to confirm it, {confirmation.requirement} must be reached"
+    return SolvedVerdict(False, text, solved.episodes)
 
 
 @dataclass(frozen=True)

@@ -245,10 +245,10 @@ def test_lint_is_no_likely_cause_where_the_training_shows_the_opposite(tmp_path)
     """ "Avoiding the success pays more" was the first cause of a training whose successes returned 383, and the others 117."""
     run = train_shuttle(tmp_path, "reward.stay=1")
     noise, success = np.random.default_rng(0).normal(0, 3, 200), np.arange(200) % 2
-    refuted = with_logs(run, 117 + 266 * success + noise, 30, success=success)
+    refuted = with_logs(run, 117 + 266 * success + noise, np.full(200, 30), success=success)
     assert _named(refuted, "lint_warns").text.startswith("Lint warns about ")
     assert _named(refuted, "lint_warns").evidence["likelihood"] < 0.5
-    confirmed = with_logs(run, 117 - 66 * success + noise, 30, success=success)
+    confirmed = with_logs(run, 117 - 66 * success + noise, np.full(200, 30), success=success)
     assert _named(confirmed, "lint_warns").text.startswith("Avoiding the success pays more than the success: ")
 
 

@@ -134,7 +134,7 @@ def test_a_success_that_is_given_up_for_more_reward_is_no_matter_of_settings(sho
 @pytest.mark.parametrize("scenario", few(shipped.scenario_names(), ["find_ball", "panda_push", "pit_escape"]))
 def test_no_setting_of_a_shipped_scenario_is_suspected(short, scenario):
     training = _fallen(short, scenario=scenario)
-    fall = Decline("mean_return", 200.0, 36_000, 40.0, 42_000, 20, 60)
+    fall = Decline("mean_return", 200.0, 36_000, 40.0, 42_000, 20, 60, "the last quarter", 45_000)
     assert suspects(replace(training, all_evaluations=[]), fall) == []
 
 

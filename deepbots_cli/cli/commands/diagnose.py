@@ -172,13 +172,11 @@ def last_evaluation(ref: ModelRef) -> tuple[Path, EvaluationWithEpisodes]:
 
 
 def _outcome(training: TrainingEvidence) -> str:
-    """What the evaluation of the verdict says: `; solved; success in 97% (91% to 99%) of 100 episodes of the evaluation`."""
-    from deepbots_cli.insight.statements import SuccessRate
-
-    program, final = training.run.program, SuccessRate([each.is_success for each in training.final_episodes])
-    wanted = program.agent.solved
-    state = "" if wanted is None else f"; {'solved' if training.solved else 'not solved'} ({wanted.description})"
-    return state + (f"; success in {final} of the evaluation" if final.episodes and program.defines_success else "")
+    """What the verdict says: `; solved (mean return >= 195 over 100 episodes); mean return 199 (95 % interval ...), over 100 ...`."""
+    wanted, verdict = training.run.program.agent.solved, training.verdict
+    states = {True: "solved", False: "not solved", None: "not known whether it is solved"}
+    state = "" if wanted is None else f"; {states[verdict.solved]} ({wanted.description})"
+    return state + (f"; {verdict.evaluation.text}" if verdict.evaluation is not None else "; not evaluated since the end of the training")
 
 
 _ENDS = ("margin", "truth_ending", "truncation_limit", "nearest")
@@ -251,7 +249,7 @@ def _diagnose(run: Path, *, only_logs: bool, as_json: bool, permissions: Permiss
                 "run": folder,
                 "steps": training.steps,
                 "running": training.is_running,
-                "solved": training.solved,
+                "solved": training.verdict.solved,
                 "stage": stage.evidence if stage is not None else None,
                 "causes": [cause.as_json() for cause in causes],
             }
