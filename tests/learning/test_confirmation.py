@@ -14,6 +14,7 @@ from deepbots_cli.learning.callbacks import CONFIRMATION_PART, EVALUATION_EPISOD
 from deepbots_cli.learning.confirmation import (
     COST_SHARE,
     FALSE_STOPS,
+    MARGIN,
     Confirmation,
     error_level,
     lower_bound,
@@ -51,6 +52,11 @@ def falls(generator: np.random.Generator, mean: float, count: int) -> list[Episo
 
 def uniform(generator: np.random.Generator, mean: float, count: int) -> list[Episode]:
     return [Episode(float(value), 1, False, None) for value in generator.uniform(2 * mean - 200.0, 200.0, count)]
+
+
+def wins(generator: np.random.Generator, mean: float, count: int) -> list[Episode]:
+    """Returns of 200 or 0."""
+    return [Episode(200.0 * float(won), 1, False, None) for won in generator.random(count) < mean / 200.0]
 
 
 def train(generator: np.random.Generator, solved: Solved, values: Sequence[float], draw: Draw) -> Outcome:
@@ -113,9 +119,9 @@ def test_the_levels_of_all_confirmations_add_up_to_the_chance_of_a_false_stop() 
     assert sum(error_level(number) for number in range(1, 10_000)) == pytest.approx(FALSE_STOPS, rel=1e-3)
 
 
-def test_the_lower_bound_is_that_of_student_with_one_more_return() -> None:
-    values = [3.0, 4.0, 5.0, 9.0, 0.0]
-    half = t.ppf(0.975, 4) * np.std(values, ddof=1) / math.sqrt(5)
+def test_the_lower_bound_is_that_of_student_with_the_worst_returns_added() -> None:
+    values = [3.0, 4.0, 5.0, 9.0, 0.0, 0.0]
+    half = t.ppf(0.975, 5) * np.std(values, ddof=1) / math.sqrt(6)
     assert lower_bound(values[:4], 0.0, 0.025) == pytest.approx(np.mean(values) - half)
 
 
@@ -124,6 +130,20 @@ def test_a_criterion_of_few_episodes_is_confirmed_with_more(criterion: Solved, e
     plan = Confirmation.plan(criterion, 1, BOUNDS)
     assert plan is not None
     assert plan.episodes == episodes
+
+
+@pytest.mark.parametrize("number", [1, 3, 8])
+@pytest.mark.parametrize("required", [0.5, 0.9, 0.99])
+def test_rare_failures_that_a_sample_lacks_do_not_confirm_a_mean_return(required: float, number: int) -> None:
+    plan = Confirmation.plan(Solved(100, mean_return=required), number, (0.0, 1.0))
+    assert plan is not None
+    chances = []
+    for high in np.linspace(required, 1.0, 6):  # an episode returns this value or 0, and too little in the mean
+        episodes = [Episode(float(high), 1, False, None)] * plan.episodes, [Episode(0.0, 1, False, None)] * plan.episodes
+        mixed = range(round(required * plan.episodes), plan.episodes + 1)
+        passing = [count for count in mixed if plan.passes([*episodes[0][:count], *episodes[1][count:]])]
+        chances.append(float(np.sum(binom.pmf(passing, plan.episodes, (required - MARGIN) / high))))
+    assert max(chances) <= error_level(number)
 
 
 def test_a_confirmation_ends_as_soon_as_it_cannot_pass() -> None:
@@ -169,7 +189,7 @@ def test_rising_rates_do_not_stop_a_training_early(first: float, last: float) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("draw", [falls, uniform])
+@pytest.mark.parametrize("draw", [falls, uniform, wins])
 @pytest.mark.parametrize("mean", [185.0, 188.0, 190.0, 191.0])
 def test_false_stops_of_a_mean_return(draw: Draw, mean: float) -> None:
     outcomes = simulate(RETURN, [mean] * LOOKS, draw, 2_000, seed=5)
