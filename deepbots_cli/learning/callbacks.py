@@ -579,10 +579,13 @@ class TrainingCallback:
             self.shortlist.put_first(Candidate.of(self._evaluated.steps, summary), self.learner.save)
 
     def _possible_returns(self) -> Interval:
-        """The lowest and the highest return: the possible ones, or where they are unknown, those of all evaluations so far."""
+        """The lowest and the highest return: the possible ones, or where they are unknown, those of all episodes of the stage so far."""
         low, high = possible_returns(self.run.program)
         assert self._returns is not None
-        return low if math.isfinite(low) else self._returns[0], high if math.isfinite(high) else self._returns[1]
+        lowest, highest = self._returns
+        if self.statistics.returns is not None:
+            lowest, highest = min(lowest, self.statistics.returns[0]), max(highest, self.statistics.returns[1])
+        return low if math.isfinite(low) else lowest, high if math.isfinite(high) else highest
 
     def _check_patience(self) -> None:
         """Stop a training whose evaluations have not been better for as many steps as `patience` says."""

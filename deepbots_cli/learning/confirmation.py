@@ -14,7 +14,7 @@ the chance of a false stop easy to compute:
   the range of returns below it. The bound includes `worst_returns` more episodes with the worst return, because returns
   are often equal but for rare failures, which a sample may miss.
 
-A confirmation ends early when its outcome is certain. `tests/learning/test_confirmation.py` measures the chances.
+A confirmation ends early when it cannot pass any more, or would hardly pass; this lowers the chance of a false stop. `tests/learning/test_confirmation.py` measures the chances.
 """
 
 from __future__ import annotations
@@ -38,6 +38,10 @@ POWER = 0.5
 """The smallest probability that a confirmation passes at a success rate halfway from the required one to 100 %. With 100
 starts, the first confirmation of `>= 95 %` needs 99 successes and the second 100, so a policy of 97.5 % would pass with
 28 and 8 %. With 200 starts, it needs 194 and 195, and passes with 76 and 62 %."""
+HOPELESS = 0.01
+"""A confirmation ends if a policy halfway to 100 % would have so few successes with at most this probability, or if
+Student's upper bound of the mean return at this level is below the required one. So a confirmation that fails is short,
+and a later one fits into `COST_SHARE` earlier."""
 _MAX_EPISODES = 100_000
 
 
@@ -123,14 +127,19 @@ class Confirmation:
         return " and ".join(parts)
 
     def is_lost(self, done: Sequence[Episode]) -> bool:
-        """Whether the first episodes exclude that all of them pass."""
-        left = self.episodes - len(done)
-        if sum(episode.is_success for episode in done) + left < self.successes:
+        """Whether the first episodes exclude that all of them pass, or make it very unlikely."""
+        left, successes = self.episodes - len(done), sum(episode.is_success for episode in done)
+        if successes + left < self.successes:
             return True
+        if self.solved.success_rate is not None:
+            halfway = (1 + self.solved.success_rate) / 2
+            if 1.0 - probability_of_at_least(successes + 1, len(done), halfway) <= HOPELESS:
+                return True
         if self.solved.mean_return is None:
             return False
-        best = math.fsum(episode.total_return for episode in done) + left * self.returns[1]
-        return best < self.solved.mean_return * self.episodes
+        returns = [episode.total_return for episode in done]
+        best = math.fsum(returns) + left * self.returns[1]
+        return best < self.solved.mean_return * self.episodes or upper_bound(returns, HOPELESS) < self.solved.mean_return
 
     def passes(self, done: Sequence[Episode]) -> bool:
         """Whether all episodes of the confirmation show that the task is solved."""
@@ -168,3 +177,12 @@ def lower_bound(returns: Sequence[float], worst: float, level: float) -> float:
     values = [*returns, *[worst] * worst_returns(level)]
     half = float(stdtrit(len(values) - 1, 1 - level)) * stdev(values) / math.sqrt(len(values))
     return fmean(values) - half
+
+
+def upper_bound(returns: Sequence[float], level: float) -> float:
+    """Student's one-sided upper bound of a mean return at a confidence of `1 - level`; infinite for fewer than two returns."""
+    from scipy.special import stdtrit
+
+    if len(returns) < 2:
+        return math.inf
+    return fmean(returns) + float(stdtrit(len(returns) - 1, 1 - level)) * stdev(returns) / math.sqrt(len(returns))

@@ -177,6 +177,7 @@ class StatisticsState(BaseModel, strict=True, allow_inf_nan=False):
     worlds: list[NonNegativeInt] | None = None
     """The world of each recent episode; versions before 0.2 did not keep it."""
     present: NonNegativeInt | None = None
+    returns: tuple[float, float] | None = None
 
 
 class Statistics:
@@ -201,6 +202,8 @@ class Statistics:
         self._window = Generations[Episode](self._window_episodes, worlds, copies)
         self._present = 0
         """The episodes of the present stage."""
+        self.returns: Interval | None = None
+        """The lowest and the highest return of an episode of the present stage."""
 
     @property
     def next_episode(self) -> int:
@@ -263,12 +266,14 @@ class Statistics:
         if not present:
             return
         self._present += 1
+        low, high = self.returns or (episode.total_return, episode.total_return)
+        self.returns = min(low, episode.total_return), max(high, episode.total_return)
         self._window.add(episode, world)
 
     def begin_anew(self) -> None:
         """Forget the recent episodes, which say nothing about what follows."""
         self._window.clear()
-        self._present = 0
+        self._present, self.returns = 0, None
 
     def note_solved(self, mean_return: float, success_rate: float) -> None:
         """A confirmation with this mean return and success rate has shown that the task is solved."""
@@ -284,6 +289,7 @@ class Statistics:
             recent=recent,
             worlds=worlds,
             present=self._present,
+            returns=self.returns,
         )
 
     def restore(self, state: StatisticsState) -> None:
@@ -293,7 +299,7 @@ class Statistics:
             ValueError: It does not fit the worlds of the training.
         """
         self.steps, self.episodes, self.solved_at = state.steps, state.episodes, state.solved_at
-        self.cpu_seconds_before = state.cpu_seconds
+        self.cpu_seconds_before, self.returns = state.cpu_seconds, state.returns
         self._present = len(state.recent) if state.present is None else state.present
         self._window.restore(state.recent, state.worlds)
 

@@ -150,8 +150,13 @@ def test_a_confirmation_ends_as_soon_as_it_cannot_pass() -> None:
     plan = Confirmation.plan(RATE, 1, BOUNDS)
     assert plan is not None
     bad, fine = Episode(0.0, 1, False, None), Episode(0.0, 1, True, None)
-    assert not plan.is_lost([bad] * 5)
-    assert plan.is_lost([bad] * 6)
+    assert not plan.is_lost([fine] * 60 + [bad] * 5)
+    assert plan.is_lost([fine] * 60 + [bad] * 6)  # more failures than 95 of 100 successes allow
+    assert not plan.is_lost([fine] * 16 + [bad] * 4)
+    assert plan.is_lost([fine] * 15 + [bad] * 5)  # possible, but very unlikely for a policy of 95 %
+    planned = Confirmation.plan(RETURN, 1, BOUNDS)
+    assert planned is not None
+    assert planned.is_lost([Episode(value, 1, False, None) for value in (180.0, 182.0, 185.0, 183.0) * 5])
     assert not plan.passes([fine] * 94)
     assert plan.passes([fine] * 95 + [bad] * 5)
     assert not plan.passes([fine] * 94 + [bad] * 6)
