@@ -523,14 +523,17 @@ class TrainingCallback:
         self._met_in_a_row = self._met_in_a_row + 1 if meets else 0
         required = OFF_POLICY_MET_IN_A_ROW if self.learner.is_off_policy else MET_IN_A_ROW
         if self._met_in_a_row >= required and self.curriculum.is_last and statistics.solved_at is None:
-            self._confirm(scenario, stage)
+            self._confirm()
         self.evaluation_seconds += time.monotonic() - began
         if self.curriculum.add_evaluation(summary.mean_return, summary.success_rate, steps, statistics.episodes):
             self.begin_stage()
         self._check_patience()
 
-    def _confirm(self, scenario: Program, stage: str | None) -> None:
-        """Play new starts to show that the present networks solve the task, unless failed confirmations took their share of the steps."""
+    def _confirm(self) -> None:
+        """Play new starts to show that the present networks solve the task, unless failed confirmations took their share of the steps.
+
+        The task is the scenario: the last stage of a curriculum may have other settings.
+        """
         statistics, number = self.statistics, self._confirmations + 1
         if number > 1 and self._confirmation_steps > self._off_policy_factor * COST_SHARE * statistics.steps:
             if self._postponed != number:
@@ -558,7 +561,7 @@ class TrainingCallback:
         while len(done) < plan.episodes and not plan.is_lost(done):
             part = range(len(done), min(plan.episodes, len(done) + CONFIRMATION_PART))
             seeds = [Start.of_evaluation(root, start).seed or 0 for start in part]
-            done += self.evaluator.play(self.learner, scenario, self.interruption, seeds, stage)
+            done += self.evaluator.play(self.learner, self.run.program, self.interruption, seeds)
         self._confirmations, self._activity = number, ""
         self._confirmation_steps += sum(episode.length for episode in done)
         summary = Summary.of_episodes(done)

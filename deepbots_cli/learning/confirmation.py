@@ -14,7 +14,8 @@ the chance of a false stop easy to compute:
   the range of returns below it. The bound includes `worst_returns` more episodes with the worst return, because returns
   are often equal but for rare failures, which a sample may miss.
 
-A confirmation ends early when it cannot pass any more, or would hardly pass; this lowers the chance of a false stop. `tests/learning/test_confirmation.py` measures the chances.
+A confirmation ends early when it cannot pass any more, or would hardly pass, which makes false stops rarer.
+`tests/learning/test_confirmation.py` measures the chances.
 """
 
 from __future__ import annotations

@@ -121,7 +121,7 @@ def test_an_evaluation_below_the_criterion_begins_no_stage_and_is_kept_by_a_chec
 
 
 def test_returns_of_one_stage_do_not_count_in_the_next(tmp_path: Path) -> None:
-    result = learned(tmp_path, staged(SHORT, None, solved=Solved(5, mean_return=4.0)))
+    result = learned(tmp_path, staged(SHORT, None, solved=Solved(5, mean_return=4.0), max_steps=8))
     assert result.solved_at is not None
     log = rows(result.run)
     first = next(index for index, row in enumerate(log) if row["stage"] == "b")
@@ -166,6 +166,14 @@ def test_a_stage_that_does_not_exist_is_refused_before_there_is_a_run(tmp_path: 
     with pytest.raises(UsageError, match=known):
         learned(tmp_path, staged(*untils), stage="z")
     assert not (tmp_path / "run").exists()
+
+
+def test_a_last_stage_with_settings_of_its_own_is_confirmed_in_the_scenario(tmp_path: Path) -> None:
+    result = learned(tmp_path, staged(LONG, None, lengths=(5, 14), solved=Solved(20, mean_return=13.0)))
+    assert result.solved_at is not None
+    assert result.solved_at.mean_return > 14.0  # the most that an episode of the last stage returns
+    assert result.best is not None
+    assert result.best.mean_return == result.solved_at.mean_return
 
 
 def test_the_same_seed_goes_the_same_way(through: TrainingResult, tmp_path: Path) -> None:
