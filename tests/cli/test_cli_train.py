@@ -61,6 +61,20 @@ def test_a_training_ends_with_a_verdict_and_what_to_do_next(trained, tmp_path):
     assert json.loads((tmp_path / "mine" / "run.json").read_text())["status"] == "finished"
 
 
+def test_train_runs_and_inspect_name_the_step_of_the_best_model_and_what_chose_it(deepbots, trained, tmp_path):
+    """Nowhere was the step of the best model."""
+    best = RunRecord.read(tmp_path / "mine").result.best_model
+    assert 0 < best.steps <= 256
+    assert best.text.startswith(f"after {best.steps} steps, by mean return ")
+    assert re.search(rf"^  best model +{re.escape(best.text)}$", trained.out, re.MULTILINE)
+    assert best.text in deepbots("inspect", "mine").out
+    (listed,) = json.loads(deepbots("runs", ".", "--json").out)
+    assert (listed["best_steps"], listed["chosen_by"]) == (best.steps, best.chosen_by)
+    header, _, row = deepbots("runs", ".").out.splitlines()[1:4]
+    place = header.index("best_at")
+    assert row[place : place + len("best_at")].strip() == str(best.steps)
+
+
 def test_a_solved_task_is_to_be_seen_and_used_and_not_trained_twice_as_long(deepbots):
     ran = deepbots(*TINY, "--run", "mine", "--set", "solved=mean_return >= 1 over 4 episodes")
     assert ran.err.split("next:")[1].split("\n")[1:4] == ["  deepbots view mine", "  deepbots report mine", "  deepbots export mine"]
