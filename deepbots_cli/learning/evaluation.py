@@ -31,7 +31,7 @@ from deepbots_cli.learning.sb3.algorithms import torch_settings
 from deepbots_cli.learning.spread import ONE_BY_ONE, UNWATCHED, Attempt, Spread, Watcher, results
 from deepbots_cli.learning.statistics import ALPHA
 from deepbots_cli.learning.verdict import quoted_episodes, solved_verdict
-from deepbots_cli.program import Program, identity
+from deepbots_cli.program import identity
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import RANDOM, ZERO, named_driver
 from deepbots_cli.rollout.episode import OnEpisode
@@ -345,13 +345,6 @@ def load_model(run: Run, name: ModelName, world: gym.Env[Any, Any] | None = None
     return found
 
 
-def default_episodes(program: Program, case: str | None) -> int:
-    """The number of episodes of an evaluation: that of the scenario or the case, and as many as `solved` asks for."""
-    if case is not None:
-        return program.case(case).episodes
-    return max(program.evaluation.episodes, program.agent.solved.episodes if program.agent.solved is not None else 0)
-
-
 class _Setting:
     """Where a policy is evaluated, and on which starts.
 
@@ -380,7 +373,7 @@ class _Setting:
             lines = "\n  ".join(differences)
             raise RunError(f"{run.path} was trained with other observations, actions or messages than {program.name} defines:\n  {lines}")
         self.program, self.case, self.stage = program.variant(case, stage), case, stage
-        self.episodes = default_episodes(program, case) if episodes is None else episodes
+        self.episodes = program.evaluation_episodes(case) if episodes is None else episodes
         self.seed = run.evaluation_seed if seed is None else seed
         if self.episodes < 1 or self.seed < 0:
             raise UsageError(f"episodes must be at least 1 and the seed at least 0, not {self.episodes} and {self.seed}")

@@ -362,12 +362,24 @@ def test_a_requirement_met_by_a_changed_criterion_names_the_change_in_every_form
 
 
 def test_an_evaluation_of_too_few_episodes_names_the_number_that_solved_needs(deepbots, trained):
-    assert "only 1 was evaluated; evaluate with `--episodes 4`" in deepbots("eval", "mine", "--episodes", "1").out
+    ran = deepbots("eval", "mine", "--episodes", "1")
+    assert "only 1 was evaluated; evaluate with `--episodes 4`" in ran.out
+    assert re.search(r"episodes +1 held-out start from seed", ran.out)
+    assert "a single episode shows no effect" in deepbots("eval", "mine", "--episodes", "1", "--details").out
 
 
 def test_an_evaluation_has_as_many_episodes_as_solved_asks_for(deepbots, trained):
     more = json.loads(deepbots("eval", "mine", "--set", "solved=mean_return >= 1 over 6 episodes", "--json").out)
     assert (more["episodes"], more["solved"]) == (6, True)
+
+
+def test_a_requirement_is_judged_by_as_many_episodes_as_solved_asks_for(deepbots, trained):
+    """It was judged by `evaluation.episodes`, here 4 of 9, and too high a return passed."""
+    solved = ("--set", "solved=mean_return >= 1 over 9 episodes")
+    mean = json.loads(deepbots("eval", "mine", *solved, "--json").out)["mean_return"]
+    assert deepbots("eval", "mine", *solved, "--min-return", 0.9 * mean).code == 0
+    ran = deepbots("eval", "mine", *solved, "--min-return", 1.2 * mean)
+    assert (ran.code, "failed" in ran.out) == (1, True)
 
 
 def test_a_training_whose_evaluation_fails_is_solved_nowhere(deepbots, trained, tmp_path):
