@@ -382,6 +382,17 @@ def test_a_requirement_is_judged_by_as_many_episodes_as_solved_asks_for(deepbots
     assert (ran.code, "failed" in ran.out) == (1, True)
 
 
+def test_a_requirement_that_the_scenario_does_not_define_names_those_that_it_does(deepbots, trained, tmp_path):
+    ran = deepbots("eval", "mine", "--min-success", "0.5")
+    assert (ran.code, "CartPole defines no success; use --min-return or --require-solved, or add" in ran.err) == (2, True)
+    kept = tmp_path / "mine" / "resolved.yaml"
+    kept.write_text(re.sub(r"(?m)^solved:.*\n", "", kept.read_text()))
+    ran = deepbots("eval", "mine", "--min-success", "0.5")
+    assert (ran.code, "CartPole defines no success; use --min-return, or add" in ran.err) == (2, True)
+    ran = deepbots("eval", "mine", "--require-solved")
+    assert (ran.code, "CartPole has no `solved` criterion; use --min-return, or add" in ran.err) == (2, True)
+
+
 def test_a_training_whose_evaluation_fails_is_solved_nowhere(deepbots, trained, tmp_path):
     record = json.loads((tmp_path / "mine" / "run.json").read_text())
     at = {"episode": 3, "steps": 90, "simulated_hours": 0.1, "cpu_seconds": 1.0, "mean_return": 200.0, "success_rate": 0.0}

@@ -350,11 +350,18 @@ class Gates:
     solved: bool
 
     def check(self, program: Program) -> None:
-        """Raises: UsageError: A success rate is required, and the scenario defines no success."""
+        """Raises: UsageError: The scenario lacks what is required: success, or `solved`."""
+        solved = program.agent.solved
         if self.min_success is not None and not program.defines_success:
+            others = "--min-return" if solved is None else "--min-return or --require-solved"
             raise UsageError(
-                f"--min-success: {program.name} defines no success; use --min-return or --require-solved,"
-                " or add `termination.success` or a `goal` to the scenario"
+                f"--min-success: {program.name} defines no success; use {others}, or add `termination.success` or a `goal` to the scenario"
+            )
+        if self.solved and solved is None:
+            others = "--min-success or --min-return" if program.defines_success else "--min-return"
+            raise UsageError(
+                f"--require-solved: {program.name} has no `solved` criterion; use {others},"
+                " or add a criterion such as `solved: mean_return >= 195 over 100 episodes` to the scenario"
             )
 
     def verdicts(self, episodes: Sequence[Episode], planned: int, bounds: Interval) -> Iterator[tuple[str, Verdict]]:
