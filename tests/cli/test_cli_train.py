@@ -374,12 +374,13 @@ def test_an_evaluation_has_as_many_episodes_as_solved_asks_for(deepbots, trained
 
 
 def test_a_requirement_is_judged_by_as_many_episodes_as_solved_asks_for(deepbots, trained):
-    """It was judged by `evaluation.episodes`, here 4 of 9, and too high a return passed."""
-    solved = ("--set", "solved=mean_return >= 1 over 9 episodes")
-    mean = json.loads(deepbots("eval", "mine", *solved, "--json").out)["mean_return"]
-    assert deepbots("eval", "mine", *solved, "--min-return", 0.9 * mean).code == 0
-    ran = deepbots("eval", "mine", *solved, "--min-return", 1.2 * mean)
-    assert (ran.code, "failed" in ran.out) == (1, True)
+    """The first `evaluation.episodes`, here 4 of 9, decided it."""
+    solved = ("--set", "solved=mean_return >= 1 over 9 episodes", "--json")
+    mean = json.loads(deepbots("eval", "mine", *solved).out)["mean_return"]
+    ran = deepbots("eval", "mine", *solved, "--min-return", mean - 1e-6)
+    assert (ran.code, json.loads(ran.out)["episodes"]) == (0, 9)
+    ran = deepbots("eval", "mine", *solved, "--min-return", mean + 1e-6)
+    assert (ran.code, "not met: mean return of at least" in ran.err) == (1, True)
 
 
 def test_a_requirement_that_the_scenario_does_not_define_names_those_that_it_does(deepbots, trained, tmp_path):
