@@ -106,8 +106,10 @@ def _own_notes(run: ListedRun) -> Iterator[str]:
         if chosen_by_return == [run.path]:
             yield f"a version before 0.2 chose its best model by return; choose again with: {command}"
         else:
-            count = f"{len(chosen_by_return)} of its runs" if len(chosen_by_return) > 1 else "one of its runs"
-            yield f"a version before 0.2 chose the best model of {count} by return; for each, choose again with: {command}"
+            several = len(chosen_by_return) > 1
+            which = f"{len(chosen_by_return)} of its runs" if several else "one of its runs"
+            again = "for each, choose again with" if several else "choose again with"
+            yield f"a version before 0.2 chose the best model of {which} by return; {again}: {command}"
     if run.decline is not None:
         yield run.decline.text
 
