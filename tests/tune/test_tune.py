@@ -143,6 +143,7 @@ def test_a_run_group_and_study_of_before_are_listed_with_best_models_chosen_by_r
         for name in ("best", "confirmations", "confirmed_seed"):
             record["result"].pop(name)
         (run / "run.json").write_text(json.dumps(record | {"result": record["result"] | {"best_return": 12.5}}))
+        (run / "models" / "agent" / "last.zip").write_bytes(b"another model")
     again = f"choose again with: deepbots eval {runs[0]} --keep"
     one = f"a version before 0.2 chose its best model by return; {again}"
     of_group = f"trial-0: a version before 0.2 chose the best model of one of its runs by return; {again}"
@@ -151,6 +152,11 @@ def test_a_run_group_and_study_of_before_are_listed_with_best_models_chosen_by_r
         assert main(["runs", str(folder)]) == 0
         assert said in capsys.readouterr().err
     assert main(["report", str(study), "-o", str(tmp_path / "study.html")]) == 0
+    capsys.readouterr()
+    for path in [path for path in runs[0].rglob("*.zip") if path.stem != "best"]:
+        path.unlink()
+    assert main(["runs", str(runs[0])]) == 0
+    assert "chose its best model by return\n" in capsys.readouterr().err  # there is nothing to choose
 
 
 def test_a_study_is_no_run_and_the_message_names_a_trial(whole: Study) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
@@ -102,14 +103,13 @@ def _own_notes(run: ListedRun) -> Iterator[str]:
     if run.problem is not None:
         yield run.problem
     if chosen_by_return := list(_chosen_by_return(run)):
-        command = f"deepbots eval {quote(str(chosen_by_return[0]))} --keep"
-        if chosen_by_return == [run.path]:
-            yield f"a version before 0.2 chose its best model by return; choose again with: {command}"
-        else:
-            several = len(chosen_by_return) > 1
-            which = f"{len(chosen_by_return)} of its runs" if several else "one of its runs"
-            again = "for each, choose again with" if several else "choose again with"
-            yield f"a version before 0.2 chose the best model of {which} by return; {again}: {command}"
+        count = len(chosen_by_return)
+        which = "its best model" if chosen_by_return == [run.path] else "the best model of one of its runs"
+        which = f"the best model of {count} of its runs" if count > 1 else which
+        choices = [path for path in chosen_by_return if _has_other_models(path)]
+        again = "for each, choose again with" if len(choices) > 1 else "choose again with"
+        command = f"; {again}: deepbots eval {quote(str(choices[0]))} --keep" if choices else ""
+        yield f"a version before 0.2 chose {which} by return{command}"
     if run.decline is not None:
         yield run.decline.text
 
@@ -120,6 +120,12 @@ def _chosen_by_return(run: ListedRun) -> Iterator[Path]:
         yield run.path
     for inner in run.runs:
         yield from _chosen_by_return(inner)
+
+
+def _has_other_models(run: Path) -> bool:
+    """Whether `eval --keep` has a choice: a model that differs from the best one."""
+    best = run / "models" / "agent" / "best.zip"
+    return best.is_file() and any(not filecmp.cmp(best, other, shallow=False) for other in best.parent.glob("*.zip"))
 
 
 def _data(run: ListedRun) -> dict[str, Any]:
