@@ -475,7 +475,7 @@ def _training(scenario: Program, root: Node, run: Run | None, learner: Sequence[
     rows += [
         row._replace(source=source(row.name)) if row.source == "scenario" else row for row in effective_hyperparameters(scenario, total)
     ]
-    about = {"algorithm": training.algorithm, "total_timesteps": total, "evaluation_episodes": scenario.evaluation.episodes}
+    about = {"algorithm": training.algorithm, "total_timesteps": total, "evaluation_episodes": scenario.evaluation_episodes()}
     about |= {"chosen": "; ".join(learner)} if learner else {}
     listed: list[Row] = [{"hyperparameter": row.name, "value": _setting(row.value), "from": row.source} for row in rows]
     return {"training": about, "hyperparameters": listed}

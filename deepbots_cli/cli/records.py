@@ -173,6 +173,11 @@ def group_training_text(result: GroupTraining) -> str:
 # Evaluations
 
 
+def held_out(episodes: int) -> str:
+    """`1 held-out start`, `100 held-out starts`."""
+    return f"{episodes:,} held-out start{'' if episodes == 1 else 's'}"
+
+
 def evaluation_text(result: EvaluationResult, cases: Sequence[EvaluationResult] = (), *, scenario: str | None = None) -> str:
     """Statistics with their intervals, how the episodes ended, the verdict, and the cases in a table.
 
@@ -182,7 +187,7 @@ def evaluation_text(result: EvaluationResult, cases: Sequence[EvaluationResult] 
     rows = {
         "model": f"{result.run} ({result.model}{'' if result.model_steps is None else f', after {result.model_steps:,} steps'})",
         "scenario": scenario,
-        "episodes": f"{result.episodes:,} held-out starts from seed {result.seed}{'' if result.deterministic else ', actions sampled'}",
+        "episodes": f"{held_out(result.episodes)} from seed {result.seed}{'' if result.deterministic else ', actions sampled'}",
         **_statistics(result, success_defined=result.success_defined),
         **{f"reward {name}": f"{mean:.2f} per episode" for name, mean in terms.items()},
     }
@@ -252,6 +257,8 @@ def case_label(result: EvaluationResult | EvaluationRecord) -> str | None:
 def drawn_text(result: EvaluationResult) -> str:
     """The drawn values that have an effect, with the episodes by the parts of their ranges; parameters of the scenario first."""
     effects = result.by_drawn_value
+    if effects.starts < 2:
+        return "by drawn value\n  a single episode shows no effect; evaluate more of them with --episodes N"
     if not effects.values:
         return "by drawn value\n  episodes of this scenario draw nothing that varies"
     rows = [
@@ -286,15 +293,16 @@ def group_text(group: GroupResult) -> str:
     seeds = f"over {count} seed{'' if count == 1 else 's'}"
     if group.return_interval is not None or group.success_interval is not None:
         seeds += ": what another training may give; more seeds narrow the intervals"
+    starts = f"over {group.starts:,} start{'' if group.starts == 1 else 's'}"
     notes = [f"no model yet of seed {', '.join(map(str, group.waiting))}"] if group.waiting else []
     notes += [note for attribute in ("notes", "remarks") for result in group.evaluations for note in getattr(result, attribute)]
     return "\n".join(
         [
-            f"evaluation of {first.scenario}, group {group.name}: {first.episodes:,} held-out starts of each run, from seed {first.seed}",
+            f"evaluation of {first.scenario}, group {group.name}: {held_out(first.episodes)} of each run, from seed {first.seed}",
             table(evaluation_rows("run", ((result.run.name, result) for result in group.evaluations))),
             seeds,
             row_as_lines(rows),
-            f"over {group.starts:,} starts: what these policies give from other starts; more episodes narrow the intervals",
+            f"{starts}: what these policies give from other starts; more episodes narrow the intervals",
             row_as_lines(over_starts),
             *_notes(notes),
         ]

@@ -17,7 +17,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.episodes import Interval
-from deepbots_cli.learning.evaluation import EvaluationResult, default_episodes, evaluate, until_enough
+from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, until_enough
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.order import Measure, measure_of
 from deepbots_cli.learning.run import ModelName, ModelRef, Run, run_folders
@@ -159,7 +159,10 @@ class GroupDifference:
         difference: Difference = getattr(self, compared)
         words = compared.replace("_", " ")
         if difference.interval is None:
-            return f"{self.group}: cannot be compared, because a group with one run has no interval; train more seeds"
+            reason = "a group with one run has no interval; train more seeds"
+            if not self.between_seeds:
+                reason = "a single episode has no interval; evaluate more of them with --episodes N"
+            return f"{self.group}: cannot be compared, because {reason}"
         low, high = difference.interval
         if low == high == 0:
             return f"{self.group}: the same {words} in every {'run' if self.between_seeds else 'episode'}"
@@ -247,7 +250,7 @@ def compare(
     first = members[0].models[0].run
     judged = first.compiled if scenario is None else api.compile(scenario)
     worlds = [_world(judged, group.models[0].run, own=own, named=scenario is not None) for group in members]
-    count = default_episodes(judged.program, case) if episodes is None else episodes
+    count = judged.program.evaluation_episodes(case) if episodes is None else episodes
     given: dict[str, Any] = {"episodes": count, "seed": seed, "case": case, "permissions": permissions, "build": build}
     calls = [
         _Evaluation(ref, given | {"scenario": None if world.own else judged})

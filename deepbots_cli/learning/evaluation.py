@@ -31,7 +31,7 @@ from deepbots_cli.learning.sb3.algorithms import torch_settings
 from deepbots_cli.learning.spread import ONE_BY_ONE, UNWATCHED, Attempt, Spread, Watcher, results
 from deepbots_cli.learning.statistics import ALPHA
 from deepbots_cli.learning.verdict import quoted_episodes, solved_verdict
-from deepbots_cli.program import Program, identity
+from deepbots_cli.program import identity
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import RANDOM, ZERO, named_driver
 from deepbots_cli.rollout.episode import OnEpisode
@@ -350,13 +350,6 @@ def load_model(run: Run, name: ModelName, world: gym.Env[Any, Any] | None = None
     return found
 
 
-def default_episodes(program: Program, case: str | None) -> int:
-    """The number of episodes of an evaluation: that of the scenario or the case, and as many as `solved` asks for."""
-    if case is not None:
-        return program.case(case).episodes
-    return max(program.evaluation.episodes, program.agent.solved.episodes if program.agent.solved is not None else 0)
-
-
 class _Setting:
     """Where a policy is evaluated, and on which starts.
 
@@ -424,7 +417,7 @@ class _Setting:
 
     def _usual_episodes(self) -> int:
         """The number of episodes: that of the scenario or the case, or that of the confirmation which they repeat."""
-        count, result = default_episodes((self.judged or self.run).program, self.case), self.run.record.result
+        count, result = (self.judged or self.run).program.evaluation_episodes(self.case), self.run.record.result
         best = None if result is None or not self._has_confirmed_starts else result.best_model
         return count if best is None or best.episodes is None else best.episodes
 

@@ -159,6 +159,18 @@ class Program:
         """Whether an episode can be a success at all."""
         return self.agent.goal is not None or bool(self.agent.success)
 
+    def evaluation_episodes(self, case: str | None = None) -> int:
+        """The number of episodes of an evaluation, or of a case of it.
+
+        An evaluation has at least as many as `solved` asks for.
+
+        Raises:
+            UsageError: There is no such case.
+        """
+        if case is not None:
+            return self.case(case).episodes
+        return max(self.evaluation.episodes, self.agent.solved.episodes if self.agent.solved is not None else 0)
+
     def case(self, name: str) -> EvaluationCase:
         """The case of the evaluation of that name.
 

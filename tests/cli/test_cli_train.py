@@ -61,6 +61,20 @@ def test_a_training_ends_with_a_verdict_and_what_to_do_next(trained, tmp_path):
     assert json.loads((tmp_path / "mine" / "run.json").read_text())["status"] == "finished"
 
 
+def test_train_runs_and_inspect_name_the_step_of_the_best_model_and_what_chose_it(deepbots, trained, tmp_path):
+    """Nowhere was the step of the best model."""
+    best = RunRecord.read(tmp_path / "mine").result.best_model
+    assert 0 < best.steps <= 256
+    assert best.text.startswith(f"after {best.steps} steps, by mean return ")
+    assert re.search(rf"^  best model +{re.escape(best.text)}$", trained.out, re.MULTILINE)
+    assert best.text in deepbots("inspect", "mine").out
+    (listed,) = json.loads(deepbots("runs", ".", "--json").out)
+    assert (listed["best_steps"], listed["chosen_by"]) == (best.steps, best.chosen_by)
+    header, _, row = deepbots("runs", ".").out.splitlines()[1:4]
+    place = header.index("best_at")
+    assert row[place : place + len("best_at")].strip() == str(best.steps)
+
+
 def test_a_solved_task_is_to_be_seen_and_used_and_not_trained_twice_as_long(deepbots):
     ran = deepbots(*TINY, "--run", "mine", "--set", "solved=mean_return >= 1 over 4 episodes")
     assert ran.err.split("next:")[1].split("\n")[1:4] == ["  deepbots view mine", "  deepbots report mine", "  deepbots export mine"]
@@ -348,12 +362,36 @@ def test_a_requirement_met_by_a_changed_criterion_names_the_change_in_every_form
 
 
 def test_an_evaluation_of_too_few_episodes_names_the_number_that_solved_needs(deepbots, trained):
-    assert "only 1 was evaluated; evaluate with `--episodes 4`" in deepbots("eval", "mine", "--episodes", "1").out
+    ran = deepbots("eval", "mine", "--episodes", "1")
+    assert "only 1 was evaluated; evaluate with `--episodes 4`" in ran.out
+    assert re.search(r"episodes +1 held-out start from seed", ran.out)
+    assert "a single episode shows no effect" in deepbots("eval", "mine", "--episodes", "1", "--details").out
 
 
 def test_an_evaluation_has_as_many_episodes_as_solved_asks_for(deepbots, trained):
     more = json.loads(deepbots("eval", "mine", "--set", "solved=mean_return >= 1 over 6 episodes", "--json").out)
     assert (more["episodes"], more["solved"]) == (6, True)
+
+
+def test_a_requirement_is_judged_by_as_many_episodes_as_solved_asks_for(deepbots, trained):
+    """The first `evaluation.episodes`, here 4 of 9, decided it."""
+    solved = ("--set", "solved=mean_return >= 1 over 9 episodes", "--json")
+    mean = json.loads(deepbots("eval", "mine", *solved).out)["mean_return"]
+    ran = deepbots("eval", "mine", *solved, "--min-return", mean - 1e-6)
+    assert (ran.code, json.loads(ran.out)["episodes"]) == (0, 9)
+    ran = deepbots("eval", "mine", *solved, "--min-return", mean + 1e-6)
+    assert (ran.code, "not met: mean return of at least" in ran.err) == (1, True)
+
+
+def test_a_requirement_that_the_scenario_does_not_define_names_those_that_it_does(deepbots, trained, tmp_path):
+    ran = deepbots("eval", "mine", "--min-success", "0.5")
+    assert (ran.code, "CartPole defines no success; use --min-return or --require-solved, or add" in ran.err) == (2, True)
+    kept = tmp_path / "mine" / "resolved.yaml"
+    kept.write_text(re.sub(r"(?m)^solved:.*\n", "", kept.read_text()))
+    ran = deepbots("eval", "mine", "--min-success", "0.5")
+    assert (ran.code, "CartPole defines no success; use --min-return, or add" in ran.err) == (2, True)
+    ran = deepbots("eval", "mine", "--require-solved")
+    assert (ran.code, "CartPole has no `solved` criterion; use --min-return, or add" in ran.err) == (2, True)
 
 
 def test_a_training_whose_evaluation_fails_is_solved_nowhere(deepbots, trained, tmp_path):

@@ -131,6 +131,18 @@ def test_a_success_that_is_given_up_for_more_reward_is_no_matter_of_settings(sho
     assert "Meanwhile the mean return rose from" in cause.text
 
 
+def test_a_training_that_gets_worse_after_its_teacher_ended_is_told_so(short):
+    """With a teacher a training got much worse after its best evaluation, and nothing said so."""
+    taught = [1.0] * 12 + [0.5] * 2 + [0.0] * 6  # the weight falls from 37,900 steps on, the evaluations from 42,000
+    first = diagnose(_fallen(short, teacher__weight=taught))[0]
+    assert first.cause == "fell_apart"
+    assert "it fell after the teacher had ended, at 37,894 steps" in first.text
+    assert first.settings == {"train.learning_rate": "0.001"}
+    during = diagnose(_fallen(short, teacher__weight=[1.0] * 20))[0]
+    assert during.cause == "fell_apart"
+    assert "teacher" not in during.text
+
+
 @pytest.mark.parametrize("scenario", few(shipped.scenario_names(), ["find_ball", "panda_push", "pit_escape"]))
 def test_no_setting_of_a_shipped_scenario_is_suspected(short, scenario):
     training = _fallen(short, scenario=scenario)

@@ -21,7 +21,7 @@ from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.statistics import wilson
 
 SCENARIO = Path(__file__).with_name("stair.yaml")
-STEPS, CHECKPOINTS, EPISODES, SEED = 700_000, 7, 200, 31
+STEPS, CHECKPOINTS, EPISODES, SEED = 500_000, 5, 100, 31
 REWARDS = {
     "bonus": [],
     "hovering": ["reward.climbed=10 when on_top"],  # waiting in front of the stair pays more

@@ -256,6 +256,19 @@ def test_training_and_final_verdict_are_one_verdict(tmp_path: Path, solved: Solv
     assert result.best.chosen_by == "confirmation"
 
 
+@pytest.mark.parametrize(("successes", "confirmations"), [({1, 3, 5}, 0), ({1, 2}, 1)])
+def test_a_single_lucky_evaluation_of_an_off_policy_training_begins_no_confirmation(
+    tmp_path: Path, successes: set[int], confirmations: int
+) -> None:
+    build = Worlds(lambda number: (1.0, number in successes))
+    values = {"learning_starts": 10, "train_freq": 100, "batch_size": 8}
+    hyperparameters = tuple(Hyperparameter(name, value) for name, value in values.items())
+    training = Training("DQN", 600, environments=1, hyperparameters=hyperparameters)
+    result = train(stand_in.compiled(training=training, solved=SUCCESS, success=True, max_steps=50), runs=tmp_path, seed=SEED, build=build)
+    assert build.evaluations > 2
+    assert result.confirmations == confirmations
+
+
 def test_each_confirmation_has_new_starts_and_failed_ones_take_a_tenth_of_the_steps(tmp_path: Path) -> None:
     build = Worlds(good, confirmation=poor)
     result = learned(tmp_path, build, total=12_000)

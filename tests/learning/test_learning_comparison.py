@@ -147,6 +147,16 @@ def test_the_verdict_is_about_successes_where_the_task_asks_for_them() -> None:
     assert replace(difference, measure="mean_return").verdict.startswith("other is worse than one: the mean return is 100 lower")
 
 
+def test_a_comparison_of_one_episode_asks_for_more_episodes_and_not_for_more_seeds() -> None:
+    single = compare_episodes([33.0], [20.0])
+    between_runs = GroupDifference("one", "other", "mean_return", single, None, between_seeds=False)
+    assert (
+        between_runs.verdict
+        == "other: cannot be compared, because a single episode has no interval; evaluate more of them with --episodes N"
+    )
+    assert replace(between_runs, between_seeds=True).verdict.endswith("a group with one run has no interval; train more seeds")
+
+
 # Groups
 
 

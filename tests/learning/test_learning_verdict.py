@@ -80,6 +80,22 @@ def test_training_episodes_make_no_run_solved(run_copy: Path) -> None:
     assert verdict.text.endswith("(fewer than 10 episodes)")
 
 
+def test_a_run_that_is_not_solved_is_not_listed_with_the_steps_until_it_was(run_copy: Path) -> None:
+    run = Run.open(run_copy)
+    evaluated = evaluate(run, episodes=12, build=stand_in.build)
+    run.write_evaluation(to_json(replace(evaluated, solved=True)))
+    record = json.loads((run_copy / "run.json").read_text())
+    at = {"episode": 3, "steps": 90, "simulated_hours": 0.1, "cpu_seconds": 1.0, "mean_return": 200.0, "success_rate": 0.0}
+    record["result"] |= {"solved_at": at, "confirmations": 1}
+    (run_copy / "run.json").write_text(json.dumps(record))
+    listed = read_listed(run_copy)
+    assert (listed.solved, listed.solved_after) == (True, 90)
+    # An evaluation of more episodes says otherwise.
+    run.write_evaluation(to_json(replace(evaluated, episodes=300, solved=False)))
+    listed = read_listed(run_copy)
+    assert (listed.solved, listed.solved_after) == (False, None)
+
+
 def test_equal_returns_are_not_shown_as_an_interval_around_them(run_copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = Run.open(run_copy)
     found = evaluate(run, episodes=3, build=stand_in.build)

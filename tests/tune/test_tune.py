@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -129,6 +130,33 @@ def test_a_trial_is_a_group_and_a_study_is_listed_with_the_values_of_its_trials(
     assert [round(each.score, 9) for each in whole.trials()[0].seeds] == [
         round(score("solved", Solved(5, mean_return=195.0), run.mean_return or 0.0, 0.0, None), 9) for run in first.runs
     ]
+
+
+def test_a_run_group_and_study_of_before_are_listed_with_best_models_chosen_by_return(
+    whole: Study, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = Path(shutil.copytree(whole.path, tmp_path / "study"))
+    runs = sorted(path.parent for path in study.rglob("run.json"))
+    assert len(runs) == 2
+    for run in runs:
+        record = json.loads((run / "run.json").read_text())
+        for name in ("best", "confirmations", "confirmed_seed"):
+            record["result"].pop(name)
+        (run / "run.json").write_text(json.dumps(record | {"result": record["result"] | {"best_return": 12.5}}))
+        (run / "models" / "agent" / "last.zip").write_bytes(b"another model")
+    again = f"choose again with: deepbots eval {runs[0]} --keep"
+    one = f"a version before 0.2 chose its best model by return; {again}"
+    of_group = f"trial-0: a version before 0.2 chose the best model of one of its runs by return; {again}"
+    of_study = f"study: a version before 0.2 chose the best model of 2 of its runs by return; for each, {again}"
+    for folder, said in ((runs[0], one), (runs[0].parent, f"{runs[0].name}: {one}"), (study, of_group), (tmp_path, of_study)):
+        assert main(["runs", str(folder)]) == 0
+        assert said in capsys.readouterr().err
+    assert main(["report", str(study), "-o", str(tmp_path / "study.html")]) == 0
+    capsys.readouterr()
+    for path in [path for path in runs[0].rglob("*.zip") if path.stem != "best"]:
+        path.unlink()
+    assert main(["runs", str(runs[0])]) == 0
+    assert "chose its best model by return\n" in capsys.readouterr().err  # there is nothing to choose
 
 
 def test_a_study_is_no_run_and_the_message_names_a_trial(whole: Study) -> None:

@@ -93,7 +93,7 @@ _BETTER = {
 def _lines(found: Comparison) -> Iterator[str]:
     own = any(entry.own_scenarios for entry in found.differences)
     where = f"{found.scenario}: " if found.scenario else "each run in its own scenario: " if own else ""
-    yield f"{where}{found.episodes:,} held-out episodes of each run, from seed {found.seed}"
+    yield f"{where}{found.episodes:,} held-out episode{'' if found.episodes == 1 else 's'} of each run, from seed {found.seed}"
     has_success = all(group.success_defined for group in found.groups)
     yield table([_row(group, success_defined=has_success) for group in found.groups])
     yield f"\nagainst {found.groups[0].name}"

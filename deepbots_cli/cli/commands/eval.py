@@ -74,7 +74,8 @@ def command(
         Any,
         option(
             "--episodes N|failed",
-            "Number of episodes, by default `evaluation.episodes` of the scenario; `failed` repeats those that failed.",
+            "Number of episodes, by default `evaluation.episodes` of the scenario, or as many as `solved` asks for if these are more;"
+            " `failed` repeats those that failed.",
             parser=episodes_or_failed,
         ),
     ] = None,
@@ -222,7 +223,7 @@ def command(
     for program in programs:
         gates.check(program)
         program.variant(case, stage)
-    planned = [episodes or (each.evaluation.episodes if case is None else each.case(case).episodes) for each in programs]
+    planned = [episodes or each.evaluation_episodes(case) for each in programs]
     with terminal.transient_line("loading the policy ..."):
         from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE  # which imports torch
     parts = math.ceil(max(planned) / FORWARD_BATCH_SIZE)
@@ -307,7 +308,7 @@ def _show_engines(run: Run, found: Sequence[_EngineEvaluations], *, as_json: boo
     terminal.show(
         {"evaluations": [each.as_json() for each in found], "differences": pairs},
         f"evaluation of {first.scenario} in {len(found)} engines, trained in {run.record.engine}{scenario}",
-        f"  {first.episodes:,} held-out starts from seed {first.seed}, the same in every engine",
+        f"  {records.held_out(first.episodes)} from seed {first.seed}, the same in every engine",
         table(rows),
         "\ndifferences on the same starts, with 95 % intervals\n" + records.engines_table(pairs),
         *(f"{each.result.engine}: {each.result.verdict}" for each in found),
@@ -349,11 +350,18 @@ class Gates:
     solved: bool
 
     def check(self, program: Program) -> None:
-        """Raises: UsageError: A success rate is required, and the scenario defines no success."""
+        """Raises: UsageError: The scenario lacks what is required: success, or `solved`."""
+        solved = program.agent.solved
         if self.min_success is not None and not program.defines_success:
+            others = "--min-return" if solved is None else "--min-return or --require-solved"
             raise UsageError(
-                f"--min-success: {program.name} defines no success; use --min-return or --require-solved,"
-                " or add `termination.success` or a `goal` to the scenario"
+                f"--min-success: {program.name} defines no success; use {others}, or add `termination.success` or a `goal` to the scenario"
+            )
+        if self.solved and solved is None:
+            others = "--min-success or --min-return" if program.defines_success else "--min-return"
+            raise UsageError(
+                f"--require-solved: {program.name} has no `solved` criterion; use {others},"
+                " or add a criterion such as `solved: mean_return >= 195 over 100 episodes` to the scenario"
             )
 
     def verdicts(self, episodes: Sequence[Episode], planned: int, bounds: Interval) -> Iterator[tuple[str, Verdict]]:
@@ -437,8 +445,7 @@ def _evaluate_group(
         if ready:
             program = Run.open(ready[0]).program if compiled is None else compiled.program
             gates.check(program)
-            usual = program.evaluation.episodes if chosen["case"] is None else program.case(chosen["case"]).episodes
-            planned = (chosen["episodes"] or usual) * len(ready)
+            planned = (chosen["episodes"] or program.evaluation_episodes(chosen["case"])) * len(ready)
         until = partial(gates.decided_of_group, planned=planned) if planned and len(scenarios) == 1 else None
         with terminal.progress("runs", always=False) as show_run:
             found = evaluate_group(folder, scenario=compiled, on_run=show_run, until=until, spread=spread, **chosen)

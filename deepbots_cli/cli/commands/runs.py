@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
@@ -89,18 +90,42 @@ def command(
 
 
 def _notes(run: ListedRun) -> Iterator[str]:
-    """What the table does not show of a run."""
+    """What the table does not show of a run, with its name."""
     name = run.path.name
-    if run.problem is not None:
-        yield f"{name}: {run.problem}"
-    if run.chosen_by == "return":
-        command = f"deepbots eval {quote(str(run.path))} --keep"
-        yield f"{name}: a version before 0.2 chose its best model by return; choose again with: {command}"
-    for inner in (run, *run.runs):
-        if inner.decline is not None:
-            yield f"{name if inner is run else f'{name}/{inner.path.name}'}: {inner.decline.text}"
+    yield from (f"{name}: {note}" for note in _own_notes(run))
+    yield from (f"{name}/{inner.path.name}: {inner.decline.text}" for inner in run.runs if inner.decline is not None)
     if run.remarks:
         yield f"{name}: about its evaluation: {'; '.join(run.remarks)}"
+
+
+def _own_notes(run: ListedRun) -> Iterator[str]:
+    """What the table does not show: damage, models that were chosen by another rule, and a training that got worse."""
+    if run.problem is not None:
+        yield run.problem
+    if chosen_by_return := list(_chosen_by_return(run)):
+        count = len(chosen_by_return)
+        which = "its best model" if chosen_by_return == [run.path] else "the best model of one of its runs"
+        which = f"the best model of {count} of its runs" if count > 1 else which
+        choices = [path for path in chosen_by_return if _has_other_models(path)]
+        again = "for each, choose again with" if len(choices) > 1 else "choose again with"
+        command = f"; {again}: deepbots eval {quote(str(choices[0]))} --keep" if choices else ""
+        yield f"a version before 0.2 chose {which} by return{command}"
+    if run.decline is not None:
+        yield run.decline.text
+
+
+def _chosen_by_return(run: ListedRun) -> Iterator[Path]:
+    """The runs in a run, a group or a study whose best model a version before 0.2 chose by return."""
+    if run.chosen_by == "return":
+        yield run.path
+    for inner in run.runs:
+        yield from _chosen_by_return(inner)
+
+
+def _has_other_models(run: Path) -> bool:
+    """Whether `eval --keep` has a choice: a model that differs from the best one."""
+    best = run / "models" / "agent" / "best.zip"
+    return best.is_file() and any(not filecmp.cmp(best, other, shallow=False) for other in best.parent.glob("*.zip"))
 
 
 def _data(run: ListedRun) -> dict[str, Any]:
@@ -150,8 +175,7 @@ def _show_run(folder: Path, *, as_json: bool) -> None:
     rows = [_evaluation(number, one) for number, one in kept if not isinstance(one, str)]
     tables = [f"run {folder}\n{table([_row(run)])}", *([f"\nevaluations\n{table(rows)}"] if rows else [])]
     terminal.show({**_data(run), "evaluations": data}, *tables, as_json=as_json)
-    notes = [run.problem] if run.problem is not None else []
-    notes += [] if run.decline is None else [run.decline.text]
+    notes = list(_own_notes(run))
     notes += [] if rows else [f"there is no evaluation yet; next: deepbots eval {folder}"]
     notes += [f"evaluation {number}: {one}" for number, one in kept if isinstance(one, str)]
     for note in () if as_json else notes:

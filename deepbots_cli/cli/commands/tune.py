@@ -212,7 +212,7 @@ class _Display(StudyReporter):
             keys = ", ".join(f"{name} = {space}" for name, space in record.search.items())
             terminal.note(f"study {study.path}: {keys}")
             terminal.note(
-                f"{record.trials} trials with {len(record.seeds)} seed{'s' * (len(record.seeds) > 1)} and at most"
+                f"{record.trials} trial{'s' * (record.trials > 1)} with {len(record.seeds)} seed{'s' * (len(record.seeds) > 1)} and at most"
                 f" {record.total_timesteps:,} timesteps each; {_OBJECTIVES[record.objective]}; Ctrl-C keeps everything"
             )
             if task := [name for name in record.search if not name.startswith("train.")]:
