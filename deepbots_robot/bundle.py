@@ -1,4 +1,8 @@
-"""Loading a bundle with all checks, and the policy in it as an object to call."""
+"""Loading a bundle with all checks, and the policy in it as an object to call.
+
+The checks refuse a bundle that is damaged, put together from several exports, or made to read files, to run without an end,
+or to command more than its own ranges. Who can write digests can write other weights: only a signature says who exported it.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,7 @@ import os
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import msgspec
@@ -16,17 +20,25 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from deepbots_robot import model, onnx_file
+from deepbots_robot import model, onnx_file, signature
 from deepbots_robot.model import BundleError, BundleInfo, InputError
 
 BUNDLE_NAME, GRAPH_NAME, PARITY_NAME = "bundle.json", "policy.onnx", "parity.npz"
+SCENARIO_NAME, README_NAME, SIGNATURE_NAME = "scenario.yaml", "README.md", "bundle.sig"
+_REQUIRED = (GRAPH_NAME, PARITY_NAME, SCENARIO_NAME, README_NAME)
 METADATA_KEY = "deepbots.bundle"
 """Metadata of the graph: the digest of the bundle.json that belongs to it."""
 TOLERANCE = 1e-5
 """Largest difference of a command, in shares of its range, and of two scores that count as equal."""
 _MAX_JSON_BYTES = 10_000_000
-_MAX_GRAPH_BYTES = 500_000_000
-_MAX_PARITY_BYTES = 500_000_000
+_MAX_SIGNATURE_BYTES = 10_000
+_MAX_GRAPH_BYTES = 100_000_000
+_MAX_PARITY_BYTES = 100_000_000
+"""Packed and unpacked."""
+_MAX_PARITY_OPERATIONS = 4_000_000_000
+"""Operations of all recorded steps together, which take some seconds."""
+_MAX_BYTES = 500_000_000
+"""All files of a bundle together."""
 _MAX_DESCRIPTION_BYTES = 1 << 26
 _MAX_RATIO = 10_000
 
@@ -37,11 +49,16 @@ _ONNX_TYPES = {
 }  # fmt: skip
 
 
-def load(folder: str | Path) -> Bundle:
+def load(folder: str | Path, *, trusted: str | Path | Sequence[str] | None = None) -> Bundle:
     """Load a bundle of `deepbots export`.
 
-    Checks the schema of bundle.json, the digests, the operators, inputs and outputs of the graph, and that the graph belongs to this
-    bundle.json; then repeats the recorded steps.
+    Checks the schema of bundle.json, the digests of all files, the operators, shapes, inputs and outputs of the graph, and that
+    the graph belongs to this bundle.json; then repeats the recorded steps.
+
+    Args:
+        folder: The folder of the bundle.
+        trusted: Public keys, or a file with one key per line: the bundle must be signed with one of them. Without it, a
+            signature is not looked at.
 
     Raises:
         BundleError: A check fails; names the file and, of a step that differs, the number of the step and the field.
@@ -52,13 +69,18 @@ def load(folder: str | Path) -> Bundle:
     if not os.path.lexists(folder / BUNDLE_NAME):
         raise BundleError(f"{folder} is not a bundle of `deepbots export`: it contains no {BUNDLE_NAME}")
     try:
-        info = model.decode(_read(folder / BUNDLE_NAME, _MAX_JSON_BYTES))
-        content = {name: _read(folder / name, most) for name, most in ((GRAPH_NAME, _MAX_GRAPH_BYTES), (PARITY_NAME, _MAX_PARITY_BYTES))}
-        for name, found in content.items():
-            if hashlib.sha256(found).hexdigest() != info.files.get(name):
-                raise BundleError(f"{name} is not the file that was exported")
-        bundle = Bundle(info, content[GRAPH_NAME], folder)
-        replay(bundle, read_parity(folder / PARITY_NAME, info))
+        description = _read(folder, BUNDLE_NAME, _MAX_JSON_BYTES)
+        if trusted is not None:
+            signature.verify(description, _read(folder, SIGNATURE_NAME, _MAX_SIGNATURE_BYTES), signature.keys_of(trusted))
+        info = model.decode(description)
+        missing = next((name for name in _REQUIRED if name not in info.files), None)
+        if missing is not None:
+            raise BundleError(f"{BUNDLE_NAME} has no digest of {missing}")
+        _check_sizes(folder, info)
+        for name in info.files.keys() - {GRAPH_NAME, PARITY_NAME}:
+            _exported(folder, info, name, _MAX_BYTES)
+        bundle = Bundle(info, _exported(folder, info, GRAPH_NAME, _MAX_GRAPH_BYTES), folder)
+        replay(bundle, read_parity(_exported(folder, info, PARITY_NAME, _MAX_PARITY_BYTES), info))
     except BundleError as error:
         raise BundleError(f"{folder}: {error}; export the run again") from error
     return bundle
@@ -70,7 +92,7 @@ def read_info(folder: Path) -> BundleInfo:
     Raises:
         BundleError: It is missing, damaged or of another format.
     """
-    return model.decode(_read(folder / BUNDLE_NAME, _MAX_JSON_BYTES))
+    return model.decode(_read(folder, BUNDLE_NAME, _MAX_JSON_BYTES))
 
 
 def description_digest(info: BundleInfo) -> str:
@@ -78,16 +100,43 @@ def description_digest(info: BundleInfo) -> str:
     return hashlib.sha256(msgspec.json.encode(msgspec.structs.replace(info, files={}))).hexdigest()
 
 
-def _read(path: Path, most: int) -> bytes:
-    if path.is_symlink() or not path.is_file():
-        raise BundleError(f"{path.name} is {'no regular file' if os.path.lexists(path) else 'missing'}")
+def _check_sizes(folder: Path, info: BundleInfo) -> None:
+    """Raises: BundleError: All files together are too large."""
+    sizes = 0
+    for name in info.files:
+        sizes += _regular_file(folder, name).stat().st_size
+    if sizes > _MAX_BYTES:
+        raise BundleError(f"its files have more than {_MAX_BYTES} bytes together")
+
+
+def _exported(folder: Path, info: BundleInfo, name: str, most: int) -> bytes:
+    """The content of a file. Raises: BundleError: It is missing, too large, or another one than `info` has the digest of."""
+    content = _read(folder, name, most)
+    if hashlib.sha256(content).hexdigest() != info.files.get(name):
+        raise BundleError(f"{name} is not the file that was exported")
+    return content
+
+
+def _regular_file(folder: Path, name: str) -> Path:
+    """The path of a file in a folder. Raises: BundleError: It is missing, or reached through a link."""
+    path = folder
+    for part in PurePosixPath(name).parts:
+        path = path / part
+        if path.is_symlink():
+            raise BundleError(f"{name} is reached through a symbolic link")
+    if not path.is_file():
+        raise BundleError(f"{name} is {'no regular file' if os.path.lexists(path) else 'missing'}")
+    return path
+
+
+def _read(folder: Path, name: str, most: int) -> bytes:
     try:
-        with path.open("rb") as file:
+        with _regular_file(folder, name).open("rb") as file:
             content = file.read(most + 1)
     except OSError as error:
-        raise BundleError(f"{path.name} cannot be read: {error.strerror}") from error
+        raise BundleError(f"{name} cannot be read: {error.strerror}") from error
     if len(content) > most:
-        raise BundleError(f"{path.name} is larger than {most} bytes")
+        raise BundleError(f"{name} is larger than {most} bytes")
     return content
 
 
@@ -97,6 +146,7 @@ class Bundle:
     Attributes:
         info: The content of bundle.json.
         folder: Where it was read from; None for one that was not.
+        operations: An upper limit of the operations of a step.
     """
 
     def __init__(self, info: BundleInfo, graph: bytes, folder: Path | None = None) -> None:
@@ -105,9 +155,10 @@ class Bundle:
         Raises:
             BundleError: The graph cannot be run, or has other inputs, outputs or metadata than `info` says.
         """
-        onnx_file.require_plain(graph)
+        self.operations = onnx_file.require_plain(graph)
         self.info, self.folder = info, folder
         options = onnxruntime.SessionOptions()
+        options.add_session_config_entry("session.strict_shape_type_inference", "1")  # else another shape is a warning
         options.intra_op_num_threads = options.inter_op_num_threads = 1  # a small network takes longer on several threads
         options.log_severity_level = 4  # what onnxruntime writes to the terminal is raised as well
         try:
@@ -149,10 +200,10 @@ class Bundle:
         found = {BUNDLE_NAME: model.encode(self.info)}
         if self.folder is None:
             return found
-        inputs = sorted(path for path in (self.folder / "inputs").rglob("*") if path.is_file())
-        paths = {"resolved.yaml": self.folder / "scenario.yaml", **{path.relative_to(self.folder).as_posix(): path for path in inputs}}
+        inputs = sorted(name for name in self.info.files if name.startswith("inputs/"))
+        names = {"resolved.yaml": SCENARIO_NAME, **{name: name for name in inputs}}
         try:
-            files = {name: _read(path, _MAX_DESCRIPTION_BYTES) for name, path in paths.items()}
+            files = {new: _exported(self.folder, self.info, name, _MAX_DESCRIPTION_BYTES) for new, name in names.items()}
         except BundleError:
             return found
         return found | files if sum(map(len, files.values())) <= _MAX_DESCRIPTION_BYTES else found
@@ -165,9 +216,7 @@ def _differences(info: BundleInfo, inputs: Sequence[Any], outputs: Sequence[Any]
     made: list[tuple[str, tuple[int, ...], str]] = [(entry.name, entry.shape, entry.dtype) for entry in info.outputs]
     made += [(f"{entry.name}_next", entry.shape, entry.dtype) for entry in info.memory]
     choices = info.choices
-    size = len(choices) if choices else len(info.action)
-    shape: tuple[int, ...] = () if len(choices) == 1 else (size,)
-    made.append(("action", shape, "int64" if choices else "float32"))
+    made.append(("action", info.action_shape, "int64" if choices else "float32"))
     made += [("scores", (sum(choices),), "float32")] if choices else []
     for what, wanted, found in (("input", given, inputs), ("output", made, outputs)):
         names, known = [entry[0] for entry in wanted], [entry.name for entry in found]
@@ -278,8 +327,8 @@ class Parity:
         return len(next(iter(self.outputs.values())))
 
 
-def read_parity(path: Path, info: BundleInfo) -> Parity:
-    """The steps in parity.npz.
+def read_parity(content: bytes, info: BundleInfo) -> Parity:
+    """The steps of a parity.npz.
 
     Raises:
         BundleError: It is damaged, or has other arrays than the bundle.
@@ -287,8 +336,10 @@ def read_parity(path: Path, info: BundleInfo) -> Parity:
     wanted = {f"input/{entry.name}": entry for entry in info.inputs} | {f"output/{entry.name}": entry for entry in info.outputs}
     names = {*wanted, "output/action", "starts", *(["output/scores"] if info.choices else [])}
     try:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
             sizes = {entry.filename: entry.file_size for entry in archive.infolist()}
+            if len(sizes) != len(archive.infolist()):
+                raise BundleError(f"{PARITY_NAME} has two arrays with one name")
             if sum(sizes.values()) > _MAX_PARITY_BYTES:
                 raise BundleError(f"{PARITY_NAME} holds more than {_MAX_PARITY_BYTES} bytes")
             if sizes.keys() != {f"{name}.npy" for name in names}:
@@ -304,9 +355,14 @@ def read_parity(path: Path, info: BundleInfo) -> Parity:
         raise BundleError(f"{PARITY_NAME} has no steps, or does not say where episodes begin")
     if (np.diff(starts) <= 0).any() or starts[-1] >= count:
         raise BundleError(f"the starts in {PARITY_NAME} are not in order")
-    for name, entry in wanted.items():
-        if arrays[name].shape != (count, *entry.shape) or arrays[name].dtype != _NUMPY_TYPES[entry.dtype]:
+    shapes = {name: (entry.shape, _NUMPY_TYPES[entry.dtype]) for name, entry in wanted.items()}
+    shapes["output/action"] = (info.action_shape, np.int64 if info.choices else np.float32)
+    shapes |= {"output/scores": ((sum(info.choices),), np.float32)} if info.choices else {}
+    for name, (shape, dtype) in shapes.items():
+        if arrays[name].shape != (count, *shape) or arrays[name].dtype != dtype:
             raise BundleError(f"'{name}' in {PARITY_NAME} has another shape or type than in {BUNDLE_NAME}")
+        if arrays[name].dtype.kind == "f" and not np.isfinite(arrays[name]).all():
+            raise BundleError(f"'{name}' in {PARITY_NAME} has a number that is not finite")
     own = {name: {key.partition("/")[2]: array for key, array in arrays.items() if key.startswith(name)} for name in ("input", "output")}
     return Parity(own["input"], own["output"], tuple(starts.tolist()))
 
@@ -330,6 +386,8 @@ def replay(bundle: Bundle, parity: Parity) -> None:
         BundleError: A command or a score differs by more than 1e-5 of its range, or another option is chosen although its score is
             smaller by more than 1e-5; or the graph cannot be run.
     """
+    if parity.steps * bundle.operations > _MAX_PARITY_OPERATIONS:
+        raise BundleError(f"the {parity.steps} recorded steps take more than {_MAX_PARITY_OPERATIONS:,} operations")
     policy = bundle.start()
     starts, skipping = set(parity.starts), False
     spans: dict[str, Any] = {entry.name: span_of(entry) for entry in bundle.info.outputs} | {"action": 2.0}

@@ -20,7 +20,7 @@ import numpy as np
 from msgspec import Meta
 
 from deepbots_robot.about import MAX_FIELDS, About, Remark, differences, misfit, with_fields
-from deepbots_robot.link import Array, Arrival
+from deepbots_robot.link import MAX_BYTES, Array, Arrival
 from deepbots_robot.topics import MAX_NUMBERS, Field
 
 SUPERVISOR = "supervisor"
@@ -72,8 +72,23 @@ def write(
     return msgspec.msgpack.encode(message) if packed else msgspec.json.encode(message)
 
 
+_NUMBER_BYTES, _NAME_BYTES = 26, 1300
+"""The longest number of JSON with its comma, and the longest name with its escapes."""
+_OTHER_BYTES = 65_536
+"""Robot, stamp, reset, and what an end says about itself."""
+_WAITING_BYTES = 8 << 20
+"""Messages of one connection that wait to be read; more are dropped, the oldest first, or wait in the sockets."""
+
+
+def longest_message(fields: Sequence[Field], about: About | None = None) -> int:
+    """The bytes of the longest message with these fields that the other end may send; longer ones are none of its messages."""
+    own = 0 if about is None else 4 * len(msgspec.json.encode(about))
+    values = sum(_NAME_BYTES + (4 * field.count // 3 + 4 if field.is_picture else _NUMBER_BYTES * field.count) for field in fields)
+    return min(MAX_BYTES, _OTHER_BYTES + own + values)
+
+
 class MessageLink(ABC):
-    """What links with these messages share: they answer in the format that the other end uses."""
+    """What links with these messages share: they answer the sender of the last readable message, in its format."""
 
     def __init__(self, receives: Sequence[Field], sends: Sequence[Field], about: About | None) -> None:
         self._fields = {field.name: field for field in receives}
@@ -82,6 +97,9 @@ class MessageLink(ABC):
         self._remarks: list[Remark] = []
         self._is_crowded = False
         self._packed = False
+        self._longest = longest_message(receives, self._about)
+        self._most_waiting = max(16, min(1024, _WAITING_BYTES // self._longest))
+        """Messages of one connection that wait to be read."""
         self._robots: dict[str, list[str]] = {}
         """The names of the fields by the robot of their message."""
         for field in sends:
@@ -105,9 +123,12 @@ class MessageLink(ABC):
     def _say(self, stamp: float, reset: int | None = None) -> None:
         self._write(write(next(iter(self._robots), SUPERVISOR), {}, stamp, packed=self._packed, reset=reset, about=self._about))
 
-    def _received(self, content: bytes) -> Sequence[Arrival]:
+    def _received(self, content: bytes, sender: Any = None) -> Sequence[Arrival]:
         """A message, unless it is of an end that does not fit, or only says what that end is."""
         arrival = read(content, self._fields)
+        if not arrival.problem:  # bytes that are no message change neither who is answered nor how
+            self._packed = content[:1] != b"{"
+            self._answer(sender)
         if self._about is not None and arrival.about is not None:
             self._other = arrival.about
             problem = misfit(self._about, arrival.about)
@@ -118,6 +139,10 @@ class MessageLink(ABC):
         is_useless = any(remark.is_misfit for remark in self._remarks)
         is_introduction = arrival.about is not None and arrival.kind == "fields" and not arrival.fields
         return [] if is_useless or is_introduction else [arrival]
+
+    @abstractmethod
+    def _answer(self, sender: Any) -> None:
+        """Send what follows to this connection."""
 
     @abstractmethod
     def _write(self, content: bytes) -> None:

@@ -13,11 +13,14 @@ from typing import Annotated, Any, Final, Literal
 import msgspec
 from msgspec import Meta
 
+from deepbots_robot import topics
+
 FORMAT: Final = 1
 
 MAX_FIELDS = 4096
-MAX_NUMBERS = 16_777_216
-"""Numbers in one field: an image of 2048 x 2730 pixels in three colors."""
+MAX_NUMBERS = 4_000_000
+"""Numbers in all inputs, memories and commands together: an image of 1024 x 1280 pixels in three colors."""
+MAX_FILES = 4096
 
 
 class BundleError(Exception):
@@ -39,6 +42,10 @@ NotNegative = Annotated[float, Meta(ge=0, le=1e12)]
 Shape = Annotated[tuple[Annotated[int, Meta(ge=1, le=MAX_NUMBERS)], ...], Meta(min_length=1, max_length=4)]
 Names = Annotated[tuple[Name, ...], Meta(max_length=MAX_FIELDS)]
 Numbers = Annotated[tuple[Finite, ...], Meta(max_length=MAX_FIELDS)]
+Limits = Annotated[tuple[NotNegative | None, ...], Meta(max_length=MAX_FIELDS)]
+Rate = Annotated[float, Meta(ge=0.01, le=10_000)]
+Seconds = Annotated[float, Meta(ge=0, le=1e6)]
+FileName = Annotated[str, Meta(min_length=1, max_length=500, pattern=r"^[^\x00-\x1f\x7f\\:]+$")]
 Bounds = Annotated[tuple[Finite | None, ...], Meta(max_length=MAX_FIELDS)]
 Triple = tuple[Finite, Finite, Finite]
 DType = Literal["float64", "float32", "int64", "bool", "uint8"]
@@ -92,9 +99,9 @@ class Input(Record, frozen=True):
     unit: Text
     frame: Name | None
     range: tuple[Bounds, Bounds] | None
-    rate_hz: Positive
-    latency_s: NotNegative
-    max_age_s: Positive | None
+    rate_hz: Annotated[float, Meta(ge=1e-6, le=1e6)]
+    latency_s: Seconds
+    max_age_s: Annotated[float, Meta(gt=0, le=1e6)] | None
 
 
 class Memory(Record, frozen=True):
@@ -140,8 +147,8 @@ class Output(Record, frozen=True):
     unit: Text
     frame: Name | None
     range: tuple[Bounds, Bounds]
-    max_rate: Bounds
-    max_effort: Bounds
+    max_rate: Limits
+    max_effort: Limits
     stiffness: NotNegative | None
     damping: NotNegative | None
     attitude: Triple | None
@@ -221,7 +228,7 @@ class BundleInfo(Record, frozen=True):
     Attributes:
         rate_hz: Steps of the policy per second; another rate needs another training.
         action: The parts of the output `action`, which is the action in the form that the environment takes.
-        files: The SHA-256 of `policy.onnx` and `parity.npz`.
+        files: The SHA-256 of all other files, by their path in the bundle; what is not named here is not read.
         evaluation: Null for a run that was not evaluated.
         ros: The ROS 2 topics of inputs and outputs, by name; others have those of `deepbots_robot.topics.first_mapping`.
     """
@@ -230,15 +237,22 @@ class BundleInfo(Record, frozen=True):
     deepbots: Name
     scenario: Scenario
     training: Training
-    rate_hz: Positive
-    timestep_s: Positive
+    rate_hz: Rate
+    timestep_s: Annotated[float, Meta(ge=1e-4, le=100)]
     inputs: Annotated[tuple[Input, ...], Meta(max_length=MAX_FIELDS)]
     memory: Annotated[tuple[Memory, ...], Meta(max_length=MAX_FIELDS)]
     outputs: Annotated[tuple[Output, ...], Meta(min_length=1, max_length=MAX_FIELDS)]
     action: Annotated[tuple[ActionPart, ...], Meta(min_length=1, max_length=MAX_FIELDS)]
-    files: dict[Name, Digest]
+    files: Annotated[dict[FileName, Digest], Meta(max_length=MAX_FILES)]
     evaluation: Evaluation | None
-    ros: dict[Name, RosTopic] = {}
+    ros: Annotated[dict[Name, RosTopic], Meta(max_length=2 * MAX_FIELDS)] = {}
+
+    @property
+    def action_shape(self) -> tuple[int, ...]:
+        """The shape of the output `action`."""
+        if self.choices:
+            return () if len(self.choices) == 1 else (len(self.choices),)
+        return (len(self.action),)
 
     @property
     def choices(self) -> tuple[int, ...]:
@@ -298,29 +312,59 @@ def _problems(info: BundleInfo) -> Iterator[str]:
     if twice:
         yield f"two tensors have the name '{twice[0]}'"
     tensors: tuple[Input | Memory | Output, ...] = (*info.inputs, *info.memory, *info.outputs)
-    for tensor in tensors:
-        if size_of(tensor.shape) > MAX_NUMBERS:
-            yield f"'{tensor.name}' has more than {MAX_NUMBERS} numbers"
+    if sum(size_of(tensor.shape) for tensor in tensors) > MAX_NUMBERS:
+        yield f"its inputs, memories and commands have more than {MAX_NUMBERS} numbers together"
+    for path in info.files:
+        if any(part in ("", ".", "..") for part in path.split("/")):
+            yield f"'{path}' is no path in a bundle"
     for memory in info.memory:
         if len(memory.initial) not in (1, size_of(memory.shape)):
             yield f"'{memory.name}' has {len(memory.initial)} initial numbers and {size_of(memory.shape)} in its shape"
     for entry in info.inputs:
         yield from _wrong_lengths(entry, {"components": entry.components, "joints": entry.joints})
         yield from _wrong_range(entry)
+        yield from _twice(entry.name, {"joint": entry.joints})
     for output in info.outputs:
         yield from _wrong_output(output)
     if any(not part.options and (part.low is None or part.high is None or part.low >= part.high) for part in info.action):
         yield "a part of the action has neither options nor a range"
+    yield from _wrong_topics(info)
+
+
+def _wrong_topics(info: BundleInfo) -> Iterator[str]:
+    """Topics of fields that are not there, and types that no message has."""
+    fields: tuple[Input | Output, ...] = (*info.inputs, *info.outputs)
+    names = {field.name for field in fields}
+    for name, topic in info.ros.items():
+        if name not in names:
+            yield f"'{name}' has a topic, and is neither an input nor an output"
+        if topic.type not in topics.PARTS:
+            yield f"the topic of '{name}' has the unknown type '{topic.type}'"
 
 
 def _wrong_output(output: Output) -> Iterator[str]:
     if len(output.shape) != 1:
         yield f"the command '{output.name}' has the shape {list(output.shape)}"
-    yield from _wrong_lengths(output, {"components": output.components, "max_rate": output.max_rate, "safe": output.safe})
+    size = output.shape[0]
+    for key, limits in {"max_rate": output.max_rate, "safe": output.safe}.items():
+        if len(limits) != size:
+            yield f"'{output.name}' has {len(limits)} {key} and the shape {list(output.shape)}"
+    if output.kind in ("velocity", "position", "effort") and len(output.joints) != size:
+        yield f"'{output.name}' has {len(output.joints)} joints and the shape {list(output.shape)}"
+    if output.max_effort and len(output.max_effort) not in (size, len(output.joints)):
+        yield f"'{output.name}' has {len(output.max_effort)} max_effort and the shape {list(output.shape)}"
+    yield from _twice(output.name, {"joint": output.joints, "link": output.links})
+    yield from _wrong_lengths(output, {"components": output.components})
     yield from _wrong_range(output)
     ends = zip(output.safe, *output.range, strict=False)
     if any(safe is not None and ((low is not None and safe < low) or (high is not None and safe > high)) for safe, low, high in ends):
         yield f"the safe command of '{output.name}' is outside of its range"
+
+
+def _twice(name: str, lists: Mapping[str, tuple[str, ...]]) -> Iterator[str]:
+    for what, names in lists.items():
+        if len(set(names)) != len(names):
+            yield f"'{name}' has a {what} twice"
 
 
 def _wrong_lengths(field: Input | Output, lists: Mapping[str, tuple[Any, ...]]) -> Iterator[str]:

@@ -97,7 +97,7 @@ class Commands:
             last = self._last.get(output.field.name)
             if last is not None:
                 reach = output.max_rate * elapsed
-                value = np.clip(value, last - reach, last + reach)
+                value = np.clip(np.clip(value, last - reach, last + reach), output.low, output.high)  # the range is clipped last
             changed |= bool((value != wanted).any())
             found[output.field.name] = value
         self._last = found

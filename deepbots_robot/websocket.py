@@ -18,15 +18,13 @@ from websockets.sync.client import connect
 from websockets.sync.server import serve
 
 from deepbots_robot.about import About
-from deepbots_robot.link import MAX_BYTES, Arrival
+from deepbots_robot.link import Arrival
 from deepbots_robot.messages import MessageLink
 from deepbots_robot.topics import Field
 
 _SILENT = logging.getLogger(__name__)  # websockets writes a traceback for each connection that is no WebSocket
 _SILENT.addHandler(logging.NullHandler())
 _SILENT.propagate = False
-_MAX_WAITING = 4096
-"""Messages that wait to be taken; the oldest are dropped."""
 
 
 class WebSocketLink(MessageLink):
@@ -47,24 +45,23 @@ class WebSocketLink(MessageLink):
         self.name = f"WebSocket at {self._host}:{self._port}"
         super().__init__(receives, sends, about)
         self._robot, self._peer = robot, None
-        self._waiting: deque[str | bytes] = deque(maxlen=_MAX_WAITING)
+        self._waiting: deque[tuple[Any, str | bytes]] = deque(maxlen=self._most_waiting)
+        """Messages with their connections; the oldest are dropped."""
         self._here = threading.Event()
         self._server: Any = None
         if not robot:
             try:
-                settings: dict[str, Any] = {"max_size": MAX_BYTES, "compression": None, "logger": _SILENT}
+                settings: dict[str, Any] = {"max_size": self._longest, "max_queue": 1, "compression": None, "logger": _SILENT}
                 self._server = serve(self._listen, self._host, self._port, origins=[None], **settings)
             except OSError as error:
                 raise ValueError(f"{self.name} cannot be opened: {(error.strerror or 'unknown reason').lower()}") from None
             threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     def _listen(self, peer: Any) -> None:
-        """Take the messages of a connection, in a thread of its own, until it ends; the newest connection gets the answers."""
-        self._is_crowded |= self._peer is not None and not self._robot
-        self._peer = peer
+        """Take the messages of a connection, in a thread of its own, until it ends."""
         with suppress(WebSocketException, OSError):
             for content in peer:
-                self._waiting.append(content)
+                self._waiting.append((peer, content))
                 self._here.set()
         if self._peer is peer:
             self._peer = None
@@ -77,10 +74,14 @@ class WebSocketLink(MessageLink):
     def take(self) -> Sequence[Arrival]:
         found: list[Arrival] = []
         while self._waiting:
-            content = self._waiting.popleft()
-            self._packed = isinstance(content, bytes)
-            found += self._received(content.encode() if isinstance(content, str) else content)
+            peer, content = self._waiting.popleft()
+            found += self._received(content.encode() if isinstance(content, str) else content, peer)
         return found
+
+    def _answer(self, sender: Any) -> None:
+        if not self._robot and sender is not self._peer:
+            self._is_crowded |= self._peer is not None
+            self._peer = sender
 
     def _write(self, content: bytes) -> None:
         peer: Any = self._peer
@@ -91,7 +92,7 @@ class WebSocketLink(MessageLink):
     def connected(self) -> bool:
         if self._peer is None and self._robot:
             with suppress(WebSocketException, OSError):  # nobody is there yet
-                peer = connect(f"ws://{self._host}:{self._port}", max_size=MAX_BYTES, compression=None, open_timeout=5, logger=_SILENT)
+                peer = connect(f"ws://{self._host}:{self._port}", max_size=self._longest, compression=None, open_timeout=5, logger=_SILENT)
                 self._peer = peer
                 threading.Thread(target=self._listen, args=(peer,), daemon=True).start()
         return self._peer is not None

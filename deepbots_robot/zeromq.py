@@ -16,7 +16,7 @@ import numpy as np
 import zmq
 
 from deepbots_robot.about import About
-from deepbots_robot.link import MAX_BYTES, Arrival
+from deepbots_robot.link import Arrival
 from deepbots_robot.messages import MessageLink
 from deepbots_robot.topics import Field
 
@@ -44,7 +44,8 @@ class ZmqLink(MessageLink):
             raise ValueError(f"{address} cannot be opened: address already in use")
         self._socket: Any = zmq.Context.instance().socket(zmq.DEALER if robot else zmq.ROUTER)
         self._socket.setsockopt(zmq.LINGER, 1000)
-        self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)
+        self._socket.setsockopt(zmq.MAXMSGSIZE, self._longest)
+        self._socket.setsockopt(zmq.RCVHWM, self._most_waiting)
         try:
             if robot:
                 self._socket.setsockopt(zmq.IMMEDIATE, 1)  # nothing waits for a policy that is not there
@@ -65,13 +66,13 @@ class ZmqLink(MessageLink):
                 *sender, content = self._socket.recv_multipart(zmq.NOBLOCK)
             except zmq.Again:
                 break
-            if not self._robot:
-                if sender[0] != self._peer:
-                    self._is_crowded |= sender[0] == self._former
-                    self._former, self._peer = self._peer, sender[0]
-                self._packed = content[:1] != b"{"
-            found += self._received(content)
+            found += self._received(content, sender)
         return found
+
+    def _answer(self, sender: Any) -> None:
+        if not self._robot and sender[0] != self._peer:
+            self._is_crowded |= sender[0] == self._former
+            self._former, self._peer = self._peer, sender[0]
 
     def _write(self, content: bytes) -> None:
         with suppress(zmq.ZMQError):  # nobody is there, or does not read

@@ -4,6 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+_ENTITIES = {ord(sign): f"&#{ord(sign)};" for sign in "\\`*{}[]<>#!|~&"}
+"""The characters with a meaning in Markdown or HTML, as HTML writes them."""
+
+
+def plain_markdown(text: str) -> str:
+    """A text from a file of somebody else as one line of Markdown without markup, links and HTML."""
+    return " ".join(text.split()).translate(_ENTITIES)
+
 
 def render_template(template: str, *, html: bool = False, **values: Any) -> str:
     """The text of a template of this package."""
@@ -13,4 +21,5 @@ def render_template(template: str, *, html: bool = False, **values: Any) -> str:
         loader=PackageLoader("deepbots_cli.insight", "."), undefined=StrictUndefined, autoescape=html,
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
     )  # fmt: skip
+    known.filters["plain"] = plain_markdown
     return known.get_template(template).render(**values)

@@ -81,7 +81,7 @@ def compared(source: str, *overrides: str, steps: int, engine: str | None = None
 
 
 def written(folder: Path, source: str, *overrides: str) -> Path:
-    """The three files that `deepbots_robot.load` reads, in a new folder."""
+    """The files of a bundle in a new folder; README and scenario are empty."""
     step, learner, known = made(source, *overrides)
     folder.mkdir()
     graph = step.model({bundle.METADATA_KEY: bundle.description_digest(known.info)})
@@ -90,7 +90,7 @@ def written(folder: Path, source: str, *overrides: str) -> Path:
 
 
 def write(folder: Path, info: model.BundleInfo, graph: bytes, parity: bytes) -> None:
-    files = {bundle.GRAPH_NAME: graph, bundle.PARITY_NAME: parity}
+    files = {bundle.GRAPH_NAME: graph, bundle.PARITY_NAME: parity, bundle.README_NAME: b"", bundle.SCENARIO_NAME: b""}
     for name, content in files.items():
         (folder / name).write_bytes(content)
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}

@@ -175,8 +175,8 @@ def _edit(folder: Path, **changes: object) -> None:
     [
         (lambda folder: (folder / "policy.onnx").write_bytes(b"other"), "policy.onnx is not the file that was exported"),
         (lambda folder: (folder / "parity.npz").unlink(), "parity.npz is missing"),
-        (lambda folder: (folder / "policy.onnx").rename(folder / "x") and (folder / "policy.onnx").symlink_to("x"), "no regular file"),
-        (lambda folder: _edit(folder, files={}), "policy.onnx is not the file that was exported"),
+        (lambda folder: (folder / "policy.onnx").rename(folder / "x") and (folder / "policy.onnx").symlink_to("x"), "reached through a symbolic link"),
+        (lambda folder: _edit(folder, files={}), "bundle.json has no digest of policy.onnx"),
         (lambda folder: _edit(folder, timestep_s=float("nan")), "bundle.json is damaged"),
         (lambda folder: _edit(folder, rate_hz=50), "rate_hz 50 is not 1 / timestep_s 0.032"),
         (lambda folder: _edit(folder, comment="mine"), "unknown field `comment`"),

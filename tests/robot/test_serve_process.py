@@ -1,4 +1,4 @@
-"""`deepbots serve` and `python -m deepbots_robot` as processes: what they import, how much memory they take, and what a kill leaves."""
+"""`deepbots serve` and `deepbots-robot serve` as processes: what they import, how much memory they take, and what a kill leaves."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ print(json.dumps({{"modules": sorted(sys.modules), "memory": int(re.search(r"VmH
 def test_a_server_imports_no_simulator_and_takes_little_memory(bundle: Path, tmp_path: Path, module: str, link: tuple[object, ...]) -> None:
     if "--ros" in link:
         pytest.importorskip("cyclonedds")
-    words = [*(["serve"] if module == "deepbots_cli" else []), bundle, *link, "--seconds", 0.3, "--log", tmp_path / "a.mcap"]
+    words = ["serve", bundle, *link, "--seconds", 0.3, "--log", tmp_path / "a.mcap"]
     with running("-c", PROGRAM.format(module=module), *words) as process:
         out, err = process.communicate(timeout=60)
     found = json.loads(out.splitlines()[-1])
@@ -73,7 +73,7 @@ def test_a_server_imports_no_simulator_and_takes_little_memory(bundle: Path, tmp
 
 def test_a_killed_robot_ends_in_the_safe_posture_and_a_killed_server_leaves_a_log(bundle: Path, tmp_path: Path) -> None:
     link, log = f"ipc://{tmp_path}/link", tmp_path / "a.mcap"
-    serve = (*("-m", "deepbots_robot", bundle, "--zmq", link, "--log", log),)
+    serve = (*("-m", "deepbots_robot", "serve", bundle, "--zmq", link, "--log", log),)
     with running(*serve) as server, running("-m", "deepbots_cli", "serve", "cartpole", "--as-robot", "--zmq", link) as robot:
         _until(lambda: log.exists() and sum(topic == "/step" for topic, _, _ in read_log(log)) > 40)
         robot.send_signal(signal.SIGKILL)
@@ -114,7 +114,7 @@ def _until(holds: object) -> None:
             "the policy acted in no step in 0.1 s: no value of position(cart),",
         ),
         (["BUNDLE", "--log", "missing/a.mcap"], "missing/a.mcap cannot be written: no such file or directory"),
-        (["cartpole", "--as-robot", "--log", "a.mcap"], "--log and --seconds belong to the policy"),
+        (["cartpole", "--as-robot", "--log", "a.mcap"], "--log, --seconds and --trusted belong to the policy"),
         (["multi_cartpole", "--as-robot"], "has copies of a robot"),
     ],
 )

@@ -15,7 +15,7 @@ from deepbots_cli.cli.command import ADVANCED, AllowPaths, Force, Json, Override
 from deepbots_cli.cli.commands.new import write_new
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.files import check_new_folder
 from deepbots_cli.learning.run import ModelRef
 from deepbots_cli.program import identity
@@ -31,17 +31,20 @@ class Form(StrEnum):
 
 def command(
     source: Annotated[
-        Path,
+        Path | None,
         typer.Argument(
             metavar="RUN|MODEL|BUNDLE",
             help="A run directory, a model in it, or with --check a folder that `export` wrote.",
+            show_default=False,
         ),
-    ],
+    ] = None,
     out: Annotated[Path | None, option("--output -o FOLDER", "Folder to write; by default RUN-bundle.")] = None,
     to: Annotated[Form, option("--to", "A bundle, or the files that runners of Isaac Lab, LeRobot or LEAPP read.", ADVANCED)] = Form.bundle,
     force: Force = False,
     last: Annotated[bool, option("--last", "Export the last model instead of the best one.", ADVANCED)] = False,
     check: Annotated[str | None, option("--check SCENARIO", "Compare a bundle with a scenario, item by item; write nothing.")] = None,
+    sign: Annotated[Path | None, option("--sign KEY", "Sign the bundle with this private key (Ed25519).", ADVANCED)] = None,
+    new_key: Annotated[Path | None, option("--new-key FILE", "Write a new private key, and FILE.pub beside it.", ADVANCED)] = None,
     overrides: Overrides = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
@@ -56,6 +59,9 @@ def command(
     --to writes files of other programs instead: isaac-lab a policy over observations with params/deploy.yaml, for robots with position
     motors; lerobot a policy over scaled observations with the processors that scale; leapp the graph of the bundle with a pipeline file.
 
+    --sign adds a signature, bundle.sig. A robot that runs `deepbots serve --trusted FILE.pub` refuses all other bundles. --new-key makes
+    a key; keep the private one away from the robot.
+
     --check compares the observation, action and messages of the bundle with those of a scenario. The exit code is 0 if the policy fits,
     and 1 if it does not.
 
@@ -65,9 +71,18 @@ def command(
       deepbots export runs/cartpole-0-1 --to leapp -o cartpole-leapp
       deepbots export --check cartpole cartpole-bundle
       deepbots export --check mine.yaml cartpole-bundle
+      deepbots export --new-key lab-key
+      deepbots export runs/cartpole-0-1 -o cartpole-bundle --sign lab-key
 
     Next: the README.md of the bundle shows its inputs and outputs.
     """
+    if new_key is not None:
+        _write_key(new_key, is_alone=source is None and not (out or to is not Form.bundle or last or check or sign), as_json=as_json)
+        return
+    if source is None:
+        raise UsageError("write what to export, such as a folder under runs: deepbots export RUN")
+    if sign is not None and (check is not None or to is not Form.bundle):
+        raise UsageError("--sign signs a bundle; leave it out with --check and --to")
     if check is not None:
         _check(
             source,
@@ -92,7 +107,7 @@ def command(
         from deepbots_cli.insight.export import bundle  # torch, which exporting imports, takes a second
 
         run = ref.run
-        files = bundle.bundle_files(run, ref.name) if to is Form.bundle else bundle.files_for(run, ref.name, to.value)
+        files = bundle.bundle_files(run, ref.name, sign) if to is Form.bundle else bundle.files_for(run, ref.name, to.value)
     if to is not Form.bundle:
         write_new(files, folder, force=force)
         terminal.show({"folder": folder}, f"{folder}: {', '.join(map(str, files))}", as_json=as_json)
@@ -114,6 +129,27 @@ def command(
         terminal.note(f"evaluate the run first for a result in the bundle: deepbots eval {quote(str(source))}")
     next_commands = [f"deepbots serve {quote(str(folder))}", f"deepbots export --check SCENARIO {quote(str(folder))}"]
     terminal.show({"bundle": folder, **plain(info)}, "\n".join(told), as_json=as_json, next_commands=next_commands)
+
+
+def _write_key(file: Path, *, is_alone: bool, as_json: bool) -> None:
+    """Write a private and a public key."""
+    if not is_alone:
+        raise UsageError("--new-key makes a key and exports nothing; give it alone")
+    try:
+        from deepbots_robot import signature
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("robot", "making a key") from error
+    try:
+        public = signature.write_key(file)
+    except signature.KeyFileError as error:
+        raise UsageError(str(error)) from error
+    terminal.show(
+        {"private_key": file, "public_key": public},
+        f"{file}: the private key, which signs; keep it where you export, and nowhere else",
+        f"{public}: the public key, for the computer of the robot",
+        as_json=as_json,
+        next_commands=[f"deepbots export RUN --sign {quote(str(file))}", f"deepbots serve BUNDLE --trusted {quote(str(public))}"],
+    )
 
 
 def _check(folder: Path, scenario: str, overrides: list[str] | tuple[()], permissions: Permissions, *, as_json: bool, writes: bool) -> None:

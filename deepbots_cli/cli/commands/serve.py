@@ -52,6 +52,10 @@ def command(
     speed: Annotated[float, option("--speed X", "Seconds of the robot in one second, the same on both sides.")] = 1.0,
     seconds: Annotated[float | None, option("--seconds X", "End after this time; by default at Ctrl-C. Not with --as-robot.")] = None,
     log: Annotated[Path | None, option("--log FILE", "Write an MCAP log of values and commands. Not with --as-robot.")] = None,
+    trusted: Annotated[
+        Path | None,
+        option("--trusted FILE", "Serve only a bundle that is signed with one of the public keys in this file. Not with --as-robot."),
+    ] = None,
     episodes: Annotated[int | None, integer("--episodes N", "End after N episodes; by default at Ctrl-C.", group=EPISODES)] = None,
     seed: Annotated[
         int, integer("--seed N", "Root seed; the episodes start as those of an evaluation with this seed.", 0, group=EPISODES)
@@ -67,7 +71,7 @@ def command(
     the bundle. Every message is checked: layout, finite numbers, range, age and order. Commands are kept within the limits of the
     actuators. On silence, and after a wrong message, the robot gets the safe posture of the bundle. At the end there is a table of answer
     times and refused messages.
-    `python -m deepbots_robot BUNDLE` does the same where deepbots is not installed.
+    `deepbots-robot serve BUNDLE` does the same where deepbots is not installed.
 
     With --as-robot, a simulation of the scenario is the robot: it sends its sensors and obeys commands in real time, episode after
     episode. ROS 2 topics are those of the section `ros` of the scenario, or of `deepbots inspect SCENARIO --ros`.
@@ -98,21 +102,22 @@ def command(
             raise UsageError(
                 "--episodes, --seed, --set, --engine and --allow-... belong to a simulated robot; add --as-robot or leave them out"
             )
-        _serve_policy(Path(source), transport, speed=speed, lockstep=lockstep, log=log, seconds=seconds, as_json=as_json)
+        settings: dict[str, Any] = {"speed": speed, "lockstep": lockstep, "log": log, "seconds": seconds}
+        _serve_policy(Path(source), transport, trusted=trusted, as_json=as_json, **settings)
         return
-    if log is not None or seconds is not None:
-        raise UsageError("--log and --seconds belong to the policy; leave them out with --as-robot")
+    if log is not None or seconds is not None or trusted is not None:
+        raise UsageError("--log, --seconds and --trusted belong to the policy; leave them out with --as-robot")
     from deepbots_cli.cli.sources import open_source
     from deepbots_cli.insight.robot import serve_robot
 
     side = open_source(source, overrides or (), permissions, engine)
     engine = engine or (side.run.engine_for(side.program) if side.run else None)
-    settings: dict[str, Any] = {"episodes": episodes, "seed": seed, "engine": engine, "permissions": permissions, "note": terminal.note}
+    settings = {"episodes": episodes, "seed": seed, "engine": engine, "permissions": permissions, "note": terminal.note}
     running = serve_robot(side.program, transport, lockstep=lockstep, speed=speed, **settings)
     _simulate(side.program.name, running, as_json=as_json, success=side.program.defines_success)
 
 
-def _serve_policy(folder: Path, transport: Transport, *, as_json: bool, **settings: Any) -> None:
+def _serve_policy(folder: Path, transport: Transport, *, trusted: Path | None, as_json: bool, **settings: Any) -> None:
     from deepbots_robot.bundle import load
     from deepbots_robot.model import BundleError
     from deepbots_robot.server import report_lines
@@ -120,9 +125,11 @@ def _serve_policy(folder: Path, transport: Transport, *, as_json: bool, **settin
 
     with ExitStack() as stack:
         if folder_kind(folder) is SourceKind.RUN or folder.suffix == ".zip":
+            if trusted is not None:
+                raise UsageError(f"{folder} is a run, and --trusted needs a signed bundle: deepbots export {folder} --sign KEY")
             folder = _exported(folder, stack)
         try:
-            report = serve(load(folder), transport, note=terminal.note, **settings)
+            report = serve(load(folder, trusted=trusted), transport, note=terminal.note, **settings)
         except (BundleError, ServeError) as error:
             raise UsageError(str(error)) from None
     terminal.show(report, *report_lines(report), as_json=as_json)

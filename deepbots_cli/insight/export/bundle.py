@@ -20,7 +20,7 @@ import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import MissingExtraError, RunError
+from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.insight.templates import render_template
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.learning.verdict import RunVerdict, run_verdict
@@ -35,13 +35,18 @@ if TYPE_CHECKING:
 _LICENSE = re.compile(r"SPDX-License-Identifier:\s*([A-Za-z0-9][\w.+() -]*)")
 
 
-def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
+def bundle_files(run: Run, name: ModelName, key: Path | None = None) -> dict[PurePosixPath, bytes]:
     """The files of the bundle of a run. A simulation of some hundred steps checks that it commands what the scenario does.
+
+    Args:
+        run: The run.
+        name: Its model.
+        key: A file with a private key, which signs the bundle.
 
     Raises:
         MissingExtraError: onnx, onnxruntime or what learns is not installed.
         RunError: There is no such model, or it is damaged.
-        UsageError: The scenario or the policy cannot be exported.
+        UsageError: The scenario or the policy cannot be exported, or the key cannot be read.
     """
     try:
         import msgspec
@@ -52,7 +57,7 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         from deepbots_cli.insight.export.parity import recorded_parity
         from deepbots_cli.learning import policy
         from deepbots_cli.learning.sb3.algorithms import torch_settings
-        from deepbots_robot import bundle, model
+        from deepbots_robot import bundle, model, signature
     except ModuleNotFoundError as error:
         raise MissingExtraError("export", "exporting a policy") from error
     learner = policy.loaded(run, name)
@@ -62,19 +67,26 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
     graph = step.model({bundle.METADATA_KEY: bundle.description_digest(info)})
     with torch_settings():
         parity = recorded_parity(bundle.Bundle(info, graph), step, learner, engine=run.engine_for(run.program))
-    files = {bundle.GRAPH_NAME: graph, bundle.PARITY_NAME: parity}
-    info = msgspec.structs.replace(info, files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()})
     readme = render_template(
         "export/bundle.md.j2", info=info, used=numbers_read(graph), numbers=run.program.agent.numbers, places=_places(info)
     )
     # The scenario names the copies of its robot files; the YAML files that it was put together from are in it.
     robots = [name for name in run.record.inputs if not name.endswith((".yaml", ".yml"))]
-    files |= {
-        bundle.BUNDLE_NAME: model.encode(info),
-        "README.md": readme.encode(),
-        "scenario.yaml": (run.path / RESOLVED_NAME).read_bytes(),
+    files = {
+        bundle.GRAPH_NAME: graph,
+        bundle.PARITY_NAME: parity,
+        bundle.README_NAME: readme.encode(),
+        bundle.SCENARIO_NAME: (run.path / RESOLVED_NAME).read_bytes(),
         **{f"{INPUTS_FOLDER}/{name}": (run.path / INPUTS_FOLDER / name).read_bytes() for name in robots},
     }
+    info = msgspec.structs.replace(info, files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()})
+    description = model.encode(info)
+    files = {bundle.BUNDLE_NAME: description, **files}
+    if key is not None:
+        try:
+            files[bundle.SIGNATURE_NAME] = signature.sign(description, key)
+        except signature.KeyFileError as error:
+            raise UsageError(str(error)) from error
     return {PurePosixPath(name): content for name, content in files.items()}
 
 

@@ -75,7 +75,9 @@ class Graph:
         if metadata:
             helper.set_model_props(found, dict(metadata))
         onnx.checker.check_model(found, full_check=True)
-        return bytes(found.SerializeToString())
+        # The shape of every tensor limits what a step of the graph can cost; `deepbots_robot.onnx_file` requires it.
+        shaped = onnx.shape_inference.infer_shapes(found, check_type=True, strict_mode=True, data_prop=True)
+        return bytes(shaped.SerializeToString())
 
 
 def numbers_read(content: bytes) -> dict[str, frozenset[int]]:

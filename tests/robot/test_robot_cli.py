@@ -1,0 +1,69 @@
+"""`deepbots-robot check` and the keys of `deepbots export`, as a user runs them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli.cli import main
+from deepbots_robot import bundle, signature
+from deepbots_robot.__main__ import main as robot
+from tests.bundle.untrained import written
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("bundle") / "cartpole", "cartpole")
+
+
+def test_a_check_says_what_the_bundle_is_and_whether_it_is_signed(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["export", "--new-key", str(tmp_path / "key")]) == 0
+    public = tmp_path / "key.pub"
+    signed = shutil.copytree(folder, tmp_path / "signed")
+    description = (signed / bundle.BUNDLE_NAME).read_bytes()
+    (signed / bundle.SIGNATURE_NAME).write_bytes(signature.sign(description, tmp_path / "key"))
+    capsys.readouterr()
+    assert robot(["check", str(signed), "--trusted", str(public)]) == 0
+    assert "signed with a trusted key: yes" in capsys.readouterr().out
+    assert robot(["check", str(folder)]) == 0
+    assert "signed with a trusted key: not checked (--trusted FILE)" in capsys.readouterr().out
+    assert robot(["check", str(folder), "--trusted", str(public)]) == 1
+    assert "bundle.sig is missing" in capsys.readouterr().err
+    assert main(["serve", str(folder), "--trusted", str(public), "--zmq", "tcp://127.0.0.1:58799"]) == 2
+    assert "bundle.sig is missing" in capsys.readouterr().err
+    assert robot(["check", str(signed), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["signature_checked"] is False
+
+
+def test_the_check_runs_nothing_that_lies_in_the_folder(folder: Path, tmp_path: Path) -> None:
+    """`python -c "import deepbots_robot"` in the folder of a bundle imported its `json.py`."""
+    place = shutil.copytree(folder, tmp_path / "bundle")
+    for name in ("json", "argparse", "numpy", "msgspec"):
+        (place / f"{name}.py").write_text("raise SystemExit('this ran')\n")
+    script = Path(sys.executable).with_name("deepbots-robot")
+    if not script.exists():
+        pytest.skip("the package is not installed")
+    done = subprocess.run([script, "check", "."], cwd=place, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["export", "--new-key", "KEY", "run"], "give it alone"),
+        (["export"], "write what to export"),
+        (["export", "run", "--sign", "KEY", "--to", "leapp"], "--sign signs a bundle"),
+        (["serve", "cartpole", "--as-robot", "--trusted", "KEY"], "belong to the policy"),
+    ],
+)
+def test_options_of_keys_that_do_not_fit_are_refused(
+    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    assert message in capsys.readouterr().err
