@@ -175,7 +175,10 @@ def _edit(folder: Path, **changes: object) -> None:
     [
         (lambda folder: (folder / "policy.onnx").write_bytes(b"other"), "policy.onnx is not the file that was exported"),
         (lambda folder: (folder / "parity.npz").unlink(), "parity.npz is missing"),
-        (lambda folder: (folder / "policy.onnx").rename(folder / "x") and (folder / "policy.onnx").symlink_to("x"), "reached through a symbolic link"),
+        (
+            lambda folder: (folder / "policy.onnx").rename(folder / "x") and (folder / "policy.onnx").symlink_to("x"),
+            "reached through a symbolic link",
+        ),
         (lambda folder: _edit(folder, files={}), "bundle.json has no digest of policy.onnx"),
         (lambda folder: _edit(folder, timestep_s=float("nan")), "bundle.json is damaged"),
         (lambda folder: _edit(folder, rate_hz=50), "rate_hz 50 is not 1 / timestep_s 0.032"),
