@@ -343,6 +343,15 @@ def robustness_text(found: Robustness) -> str:
             rows.append(_level_row(condition.name, level.level, level.evaluation, holds=level.holds, certain=level.certain))
     same = [each.name for each in found.conditions if each.levels and not _changes_episodes(each, found.nominal)]
     notes = [f"no effect on any episode (the lengths and returns are unchanged): {', '.join(same)}"] if same else []
+    if is_rate and found.bar < 1.0:
+        from deepbots_cli.learning.statistics import episodes_above  # which imports scipy
+
+        needed = episodes_above(found.bar)
+        if found.nominal.episodes < needed:
+            notes.append(
+                f"{found.nominal.episodes} episodes are too few to be sure of {percent(found.bar)}, even if all of them succeed;"
+                f" write --episodes {needed} or more"
+            )
     if not found.nominal_holds:
         option = "--min-success" if is_rate else "--min-return"
         notes.append(f"the policy misses the required score even without any change; set another one with {option}")

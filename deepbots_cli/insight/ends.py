@@ -55,7 +55,7 @@ def stopped_early(t: TrainingEvidence) -> Numbers | None:
         return None
     reason = "because a confirmation, of new episodes without exploration, met `solved`"
     if result.confirmed_at is None:
-        reason = "because its own episodes met `solved`: a version before 0.2 did not confirm this with new starts"
+        reason = "because its own episodes met `solved`: an earlier version did not confirm this with new starts"
     return {
         **training_length(t, t.run.record.total_timesteps),
         "likelihood": 0.9,

@@ -32,6 +32,11 @@ def wilson(successes: int, episodes: int, error: float = ALPHA) -> Interval:
     return max(0.0, min(rate, center - half)), min(1.0, max(rate, center + half))
 
 
+def episodes_above(rate: float, error: float = ALPHA) -> int:
+    """The smallest number of episodes whose interval is above a rate if all of them succeed; its lower end is n / (n + z^2)."""
+    return math.ceil(NormalDist().inv_cdf(1 - error / 2) ** 2 * rate / (1.0 - rate))
+
+
 def mean_interval(values: Sequence[float], bounds: Interval = UNBOUNDED, error: float = ALPHA) -> Interval | None:
     """Student's interval of a mean, cut at the bounds of the values; None for fewer than two values.
 

@@ -192,3 +192,10 @@ def test_pairing_by_start_finds_a_difference_that_the_spread_of_starts_hides():
 def test_one_run_each_has_a_difference_without_an_interval():
     found = stats.compare_seeds([1.0], [3.0])
     assert (found.mean, found.interval, found.certain) == (2.0, None, False)
+
+
+@pytest.mark.parametrize("rate", [0.5, 0.9, 0.95])
+def test_so_many_successes_are_needed_to_be_above_a_rate(rate: float) -> None:
+    """`robustness --episodes 20` called every level "not significant" for 90 %, and did not say that 35 are needed."""
+    count = stats.episodes_above(rate)
+    assert stats.wilson(count, count)[0] >= rate > stats.wilson(count - 1, count - 1)[0]

@@ -145,9 +145,9 @@ def test_a_run_group_and_study_of_before_are_listed_with_best_models_chosen_by_r
         (run / "run.json").write_text(json.dumps(record | {"result": record["result"] | {"best_return": 12.5}}))
         (run / "models" / "agent" / "last.zip").write_bytes(b"another model")
     again = f"choose again with: deepbots eval {runs[0]} --keep"
-    one = f"a version before 0.2 chose its best model by return; {again}"
-    of_group = f"trial-0: a version before 0.2 chose the best model of one of its runs by return; {again}"
-    of_study = f"study: a version before 0.2 chose the best model of 2 of its runs by return; for each, {again}"
+    one = f"an earlier version chose its best model by return; {again}"
+    of_group = f"trial-0: an earlier version chose the best model of one of its runs by return; {again}"
+    of_study = f"study: an earlier version chose the best model of 2 of its runs by return; for each, {again}"
     for folder, said in ((runs[0], one), (runs[0].parent, f"{runs[0].name}: {one}"), (study, of_group), (tmp_path, of_study)):
         assert main(["runs", str(folder)]) == 0
         assert said in capsys.readouterr().err

@@ -109,13 +109,13 @@ def _own_notes(run: ListedRun) -> Iterator[str]:
         choices = [path for path in chosen_by_return if _has_other_models(path)]
         again = "for each, choose again with" if len(choices) > 1 else "choose again with"
         command = f"; {again}: deepbots eval {quote(str(choices[0]))} --keep" if choices else ""
-        yield f"a version before 0.2 chose {which} by return{command}"
+        yield f"an earlier version chose {which} by return{command}"
     if run.decline is not None:
         yield run.decline.text
 
 
 def _chosen_by_return(run: ListedRun) -> Iterator[Path]:
-    """The runs in a run, a group or a study whose best model a version before 0.2 chose by return."""
+    """The runs in a run, a group or a study whose best model an earlier version chose by return."""
     if run.chosen_by == "return":
         yield run.path
     for inner in run.runs:
@@ -190,7 +190,7 @@ def _evaluation(number: int, kept: EvaluationRecord) -> Row:
         "after_steps": kept.model_steps,
         "remarks": "; ".join(kept.remarks) or kept.elsewhere or records.case_label(kept),
         "episodes": kept.episodes,
-        "seed": kept.seed,
+        "seed": str(kept.seed),
         **records.scores(kept),
         "solved": kept.solved,
     }
