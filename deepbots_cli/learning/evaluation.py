@@ -139,8 +139,8 @@ def evaluate(
     Args:
         run: The run, its directory, or the file of a model in it.
         episodes: Number of episodes; by default that of the scenario, or as many as its `solved` asks for if these are more.
-        seed: Root seed of the episodes, from 0; by default that of the training, or that of the confirmation which ended the training:
-            an evaluation of the best model then repeats it.
+        seed: Root seed of the episodes, from 0; by default that of the training. Without `episodes`, it is that of the confirmation
+            which ended the training: an evaluation of the best model then repeats it.
         deterministic: Whether the policy takes its most likely action; otherwise it samples actions, also from seeded streams.
         model: The name of the model where `run` names none: `best`, `last`, `step-000020000`.
         scenario: Another scenario to evaluate in, as for `train`; its observation, action and messages must be those of the run.
@@ -381,7 +381,10 @@ class _Setting:
         self.seed = run.evaluation_seed if seed is None else seed
         engine = engine or run.engine_for(self.program)
         self.engine = None if build else engine
-        self.episodes = self._usual_episodes() if episodes is None else episodes
+        usual = self._usual_episodes()
+        self.episodes = usual if episodes is None else episodes
+        if seed is None and self._has_confirmed_starts and self.episodes != usual:
+            self.seed = run.record.seed  # those of the confirmation are selected: all of them were needed to pass
         if self.episodes < 1 or self.seed < 0:
             raise UsageError(f"episodes must be at least 1 and the seed at least 0, not {self.episodes} and {self.seed}")
         self.build = build or supervisor_factory(engine, permissions=permissions)
