@@ -15,9 +15,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
-from itertools import combinations, islice
 from functools import partial
-from math import exp, inf, log
+from itertools import combinations, islice
+from math import ceil, exp, inf, log
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -66,6 +66,8 @@ EPISODES, MAX_STEPS = 6, 100
 """How many episodes are compared, and how many steps of each: small differences grow, and in the end only show that they have grown."""
 _THRESHOLD = 0.01
 """A number differs if it is off by more than this share of the width that it spans in the first world."""
+_MEASURED = "order, sign, unit, offset and age of numbers"
+"""What is tried without a simulation."""
 _LATEST = 8
 """The largest age of a number, in steps, that is tried."""
 _EXACT = 0.05
@@ -96,6 +98,8 @@ _MAX_LINKS = 12
 """The largest number of links whose mass is changed."""
 _REWARD = "reward."
 """How the name of a reward term begins."""
+_MAX_JOINED = 3
+"""Changes with the same effect that are named; more are counted."""
 _MAX_MOTORS = 12
 """The largest number of motors whose order is tried."""
 _UNITS = {
@@ -216,9 +220,15 @@ def compare_worlds(
                 rows.append(row)
             else:
                 same.texts.extend(row.texts)
-    causes = [Cause(" or ".join(row.texts), comparison.explained(row.values)) for row in rows]
+    causes = [Cause(_either(row.texts), comparison.explained(row.values)) for row in rows]
     likely = sorted((cause for cause in causes if cause.explained >= _LEAST_EXPLAINED), key=lambda cause: -cause.explained)  # stable
-    return replace(result, causes=tuple(likely), tried=tuple(dict.fromkeys(kind.family for kind in kinds)))
+    families = {kind.family: kind.tried for kind in reversed(kinds)}
+    return replace(result, causes=tuple(likely), tried=(_MEASURED, *reversed(families.values())))
+
+
+def _either(texts: Sequence[str]) -> str:
+    more = len(texts) - _MAX_JOINED
+    return " or ".join([*texts[:_MAX_JOINED], *([f"{more} more"] if more > 0 else [])])
 
 
 class _Row(NamedTuple):
@@ -240,7 +250,7 @@ def _simulated_causes(comparison: _Comparison, kinds: Sequence[_Kind], on_world:
         return scores[kind, amount]
 
     def best(kind: _Kind) -> float:
-        return max((amount for known, amount in scores if known is kind), key=lambda amount: scores[kind, amount])
+        return max((amount for known, amount in scores if known is kind), key=lambda amount: (round(scores[kind, amount], 9), amount))
 
     groups: list[_Group] = []
     for number, kind in enumerate(kinds):
@@ -275,17 +285,23 @@ def _simulated_causes(comparison: _Comparison, kinds: Sequence[_Kind], on_world:
 
 
 def _search(kind: _Kind, amount: float, score: Callable[[_Kind, float], float]) -> None:
-    """Score amounts between the neighbors of an amount, on a logarithmic scale and with two digits."""
+    """Score amounts between the neighbors of an amount, on a logarithmic scale and with two digits.
+
+    A latency of a part of a timestep has the effect of a whole one, so of a time, the next number of timesteps is scored, too.
+    """
     if len(kind.amounts) < 2 or score(kind, amount) >= _EXPLAINS_ALL:
         return
     scale = [kind.amounts[0] ** 2 / kind.amounts[1], *kind.amounts, kind.amounts[-1] ** 2 / kind.amounts[-2]]
     place = scale.index(amount)
-    minimize_scalar(
+    found = minimize_scalar(
         lambda x: -score(kind, float(f"{exp(x):.2g}")),
         bounds=(log(scale[place - 1]), log(scale[place + 1])),
         method="bounded",
         options={"maxiter": _SEARCH_STEPS, "xatol": 0.01},
     )
+    if kind.form == DELAY:
+        timestep = kind.amounts[0]
+        score(kind, timestep * ceil(exp(found.x) / timestep))
 
 
 @dataclass
@@ -586,6 +602,12 @@ class _Kind:
     def text(self, amount: float) -> str:
         return f"{self.name} {self.form.format(amount)}".rstrip()
 
+    @property
+    def tried(self) -> str:
+        """The family, and its amounts in words."""
+        smallest, largest = self.form.format(self.amounts[0]), self.form.format(self.amounts[-1])
+        return f"{self.family} ({smallest} .. {largest})" if self.form else self.family
+
 
 def _kinds(here: World, unchanged: _Recorder, document: Document, permissions: Permissions) -> Iterator[_Kind]:
     """What may be different in a world. `unchanged` is `here`, for other actions."""
@@ -599,7 +621,7 @@ def _kinds(here: World, unchanged: _Recorder, document: Document, permissions: P
         )
 
     for family, name, act in _actions(here.program):
-        yield _Kind(family, name, with_actions(lambda _, act=act: act))
+        yield _Kind(family, name, with_actions(partial(_always, act)))
     for name, scaled in _action_gains(here.program):
         yield _Kind("gain of actions", name, with_actions(scaled), _MASS_FACTORS, _PROBED_MASSES, FACTOR)
     root, program = document.root, here.program
@@ -619,6 +641,9 @@ def _kinds(here: World, unchanged: _Recorder, document: Document, permissions: P
             is_mass = family == "mass"
             amounts, probes = (_MASS_FACTORS, _PROBED_MASSES) if is_mass else (_FACTORS, _PROBED_FACTORS)
             yield _Kind(family, plan.name, with_plan(plan), amounts, probes, FACTOR)
+    for plan, largest in _torque_limits(program):
+        limits, first = (tuple(factor * largest for factor in each if factor < 1.0) for each in (_FACTORS, _PROBED_FACTORS))
+        yield _Kind("torque limit", plan.name, with_plan(plan), limits, first, plan.form)
 
 
 def _times(timestep: float) -> tuple[float, ...]:
@@ -646,7 +671,7 @@ def _latencies(root: MappingNode, program: Program) -> Iterator[Plan]:
 
 
 def _commands(root: MappingNode, program: Program) -> Iterator[Plan]:
-    """For each actuator and for all together: another gain of the command, a torque limit, a delay, and a larger time constant."""
+    """For each actuator and for all together: another gain of the command, a delay, and a larger time constant."""
     places = [(robot.name, name) for robot in program.robots for name in entries_at(root, "robots", robot.name, "actuators")]
     chosen = {f"{robot}.{name}": [(robot, name)] for robot, name in places[:_MAX_MOTORS]}
     if len(places) > 1:
@@ -654,25 +679,35 @@ def _commands(root: MappingNode, program: Program) -> Iterator[Plan]:
     for words, actuators in chosen.items():
         paths = [("robots", robot, "apply", name) for robot, name in actuators]
         if commands := [path for path in paths if written(root, *path)]:
-            yield Plan(f"command of {words}", partial(_scaled_texts, root, commands, ""))
+            yield Plan(f"command of {words}", partial(_scaled_texts, root, commands))
         for key in ("time_constant", "delay"):
             keys = [("robots", robot, "actuators", name, key) for robot, name in actuators]
             yield Plan(f"{key.replace('_', ' ')} of {words}", partial(_later, root, keys), form=DELAY)
+
+
+def _torque_limits(program: Program) -> Iterator[tuple[Plan, float]]:
+    """A lower limit of the torque or force of each motor, and its largest limit in N m or N."""
+    models = {robot.name: robot.model for robot in program.world.robots}
     for robot in program.robots:
         for motor in robot.actuators:
-            limits = [] if isinstance(motor, Thrust) else [limit for limit in motor.max_torque if limit]
-            if limits:
-                path = ("robots", robot.name, "actuators", motor.name, "max_torque")
-                yield Plan(f"torque limit of {robot.name}.{motor.name}", partial(_scaled_texts, root, [path], f"{max(limits)} N*m"))
+            if isinstance(motor, Thrust) or not (limits := [limit for limit in motor.max_torque if limit]):
+                continue
+            path = ("robots", robot.name, "actuators", motor.name, "max_torque")
+            form = "{:g} N" if models[robot.name].joint(motor.joints[0]).type == "prismatic" else "{:g} N*m"
+            yield Plan(f"torque limit of {robot.name}.{motor.name}", partial(_limit, path, form), form=form), max(limits)
+
+
+def _limit(path: tuple[str, ...], form: str, limit: float) -> Change:
+    return _together({path: form.format(limit)})
 
 
 def _later(root: MappingNode, paths: Sequence[tuple[str, ...]], delay: float) -> Change:
     return _together({path: delayed(delay, written(root, *path)) for path in paths})
 
 
-def _scaled_texts(root: MappingNode, paths: Sequence[tuple[str, ...]], usual: str, factor: float) -> Change:
-    """Values of the scenario times a factor; `usual` is that of a value which is not written."""
-    return _together({path: f"{factor:g} * ({written(root, *path) or usual})" for path in paths})
+def _scaled_texts(root: MappingNode, paths: Sequence[tuple[str, ...]], factor: float) -> Change:
+    """Written values times a factor."""
+    return _together({path: f"{factor:g} * ({written(root, *path)})" for path in paths})
 
 
 def _together(values: Mapping[tuple[str, ...], str]) -> Change:
@@ -687,7 +722,7 @@ def _together(values: Mapping[tuple[str, ...], str]) -> Change:
 
 
 def _actions(program: Program) -> Iterator[tuple[str, str, Act]]:
-    """Actions with another sign or order, of ranges, or of the options of one choice: what is tried, the change, and what changes an action."""
+    """Ranges with another sign or order, or options of one choice: what is tried, the change in words, and what changes an action."""
     names, choices = program.agent.range_names, program.agent.choices
     if len(choices) == 1 and not names:
         options = choices[0].options
@@ -720,6 +755,10 @@ def _parts(program: Program) -> dict[str, NDArray[np.bool_]]:
     parts = {part.name: np.array([name in part.names for name in names]) for part in program.agent.ranges}
     components = {name: np.array([name == other for other in names]) for name in names}
     return parts | components if len(names) <= _MAX_MOTORS else parts
+
+
+def _always(act: Act, _: float) -> Act:
+    return act
 
 
 def _swapped_options(one: int, other: int) -> Callable[[Any], Any]:
@@ -755,7 +794,8 @@ class Transfer:
 
     Attributes:
         run: The run directory.
-        names: The names of the two worlds.
+        names: The names of the two worlds, which differ.
+        between: The worlds with their scenarios and engines, in words.
         here: The evaluation in the world of the training.
         there: The evaluation in the other one, with the same starts.
         comparison: What differs between the worlds.
@@ -768,6 +808,7 @@ class Transfer:
 
     run: Path
     names: tuple[str, str]
+    between: str
     here: EvaluationResult
     there: EvaluationResult
     comparison: WorldComparison
@@ -779,6 +820,26 @@ class Transfer:
     @property
     def passed(self) -> bool:
         return all(gate.met for gate in self.gates)
+
+    @property
+    def is_much_lower(self) -> bool:
+        """Whether the return in the other world is lower by more than a fifth, and the intervals of both do not overlap."""
+        one, other = self.here, self.there
+        if one.return_interval is None or other.return_interval is None or other.return_interval[1] >= one.return_interval[0]:
+            return False
+        return other.mean_return < one.mean_return - (1 - SHARE_OF_NOMINAL) * abs(one.mean_return)
+
+
+def _names(scenarios: tuple[str, str], engines: tuple[str, str], is_other_scenario: bool) -> tuple[tuple[str, str], str]:
+    """Different names of two worlds, and the worlds with their scenarios and engines, in words."""
+    if not is_other_scenario:
+        return engines, f"{scenarios[0]} in {engines[0]} and in {engines[1]}"
+    is_same = scenarios[0] == scenarios[1]
+    names = ("training", "other") if is_same else scenarios
+    said = "both " + (f"{scenarios[0]} " if is_same else "")
+    if engines[0] == engines[1]:
+        return names, f"{names[0]} and {names[1]}, {said}in {engines[0]}"
+    return names, f"{names[0]} in {engines[0]} and {names[1]} in {engines[1]}" + (f", {said.rstrip()}" if is_same else "")
 
 
 def transfer(
@@ -845,9 +906,7 @@ def transfer(
     robustness = None
     if with_conditions:
         robustness = evaluate_robustness(run, min_success=min_success, min_return=min_return, on_level=on_world, spread=spread, **given)
-    names = run.record.engine, engine
-    if scenario is not None:
-        names = run.program.name, f"{program.name}{', changed' if scenario.overrides else ''} ({engine})"
+    names, between = _names((run.program.name, program.name), (run.record.engine, engine), scenario is not None)
     conditions = robustness.conditions if robustness is not None else ()
     judged = [*zip(names, (here, there), strict=True)]
     easiest = ((each.name, side.levels[0]) for each in conditions for side in each.sides if side.levels)
@@ -861,7 +920,7 @@ def transfer(
             met = result.mean_return >= min_return
             gates.append(Gate(f"{name}: mean return {result.mean_return:.4g} of at least {min_return:g}", met))
     works, required = _works(names, (here, there), gates, known.program.agent.solved)
-    return Transfer(run.path, names, here, there, comparison, robustness, tuple(gates), works, required)
+    return Transfer(run.path, names, between, here, there, comparison, robustness, tuple(gates), works, required)
 
 
 def _works(
