@@ -89,8 +89,8 @@ def command(
     the scenario. Then the other world repeats episodes of the first one, with the same starts and actions.
     The table shows which numbers of the observation and which reward terms differ, and from which step on.
     Below it are changes of the first world that explain the difference: a wrong sign, unit or order, a
-    latency, a lag, a mass, a friction, a weaker motor, or another gain of an action. They are alternatives,
-    whose shares do not add up. Finally, the policy is evaluated under changed conditions, as by `deepbots
+    latency, a delay, a lag, a mass, a friction, a weaker motor, or another gain of an action, with the
+    amount. They are alternatives, whose shares do not add up. Finally, the policy is evaluated under changed conditions, as by `deepbots
     robustness`.
 
     With --min-success or --min-return, the exit code is 1 if the policy misses it in one of the two worlds, or at the first level of one
@@ -222,16 +222,16 @@ def _lines(found: Transfer) -> list[str]:
     tried = f"tried, one change at a time: {'; '.join(compared.tried)}"
     if compared.causes:
         is_whole = compared.causes[0].explained >= EXPLAINS_WHOLE
-        partly = "no change that was tried explains the whole difference; these explain part of it"
+        partly = f"no change of {here} that was tried explains the whole difference; these explain part of it"
         lines.append(f"\nchanges of {here} that explain the difference" if is_whole else f"\n{partly}")
-        lines.append(table([{f"change of {here}": cause.text, "explains": percent(cause.explained)} for cause in compared.causes[:5]]))
+        lines.append(table([{"change": cause.text, "explains": percent(cause.explained)} for cause in compared.causes[:5]]))
         lines.append("explains: share of the squared differences that vanishes with this change alone, the mean of two shares: of all")
         lines.append("moments, and of the early ones; the changes are alternatives, whose shares do not add up")
         lines += [] if is_whole else [fill(tried, WIDTH)]
     elif compared.differences and not compared.observation_differs:
         lines.append("\nno number of the observation differs, so no cause can be found")
     elif compared.differences:
-        lines += ["\nno change that was tried explains it", fill(tried, WIDTH)]
+        lines += [f"\nno change of {here} that was tried explains it", fill(tried, WIDTH)]
     if found.robustness is not None:
         lines += ["", records.robustness_text(found.robustness)]
     lines += [f"{'passed' if each.met else 'failed'}: {each.text}" for each in found.gates]
