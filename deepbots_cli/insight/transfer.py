@@ -17,7 +17,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations, islice
-from math import ceil, exp, inf, log
+from math import ceil, exp, floor, inf, log
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,7 +42,7 @@ from deepbots_cli.learning.robustness import (
     Plan,
     Robustness,
     base_document,
-    changed_scenario,
+    changed_program,
     delayed,
     evaluate_robustness,
     friction,
@@ -78,9 +78,9 @@ _GROWN, _FEW = 0.1, 5
 """A difference has grown from this share of the width on; so many moments more are counted as early ones."""
 _PROBED_EPISODES, _PROBED_STEPS, _LEAST_STEPS = 2, 50, 15
 """Episodes in which most changes are simulated, those with the largest differences, and steps of each at most and at least."""
-_REFINED = 12
+_REFINED = 8
 """Kinds of changes that are simulated with all amounts in these episodes."""
-_SEARCHED, _SEARCH_STEPS = 6, 8
+_SEARCHED, _SEARCH_STEPS = 6, 7
 """Kinds whose amount is searched between the amounts beside the best one, and simulations of such a search."""
 _EXPLAINS_ALL = 0.9995
 """From this share on, no better amount is searched."""
@@ -285,7 +285,7 @@ def _simulated_causes(comparison: _Comparison, kinds: Sequence[_Kind], on_world:
 
 
 def _search(kind: _Kind, amount: float, score: Callable[[_Kind, float], float]) -> None:
-    """Score amounts between the neighbors of an amount, on a logarithmic scale and with two digits.
+    """Score amounts between the neighbors of an amount: on a logarithmic scale with two digits, and then one digit up and down.
 
     A latency of a part of a timestep has the effect of a whole one, so of a time, the next number of timesteps is scored, too.
     """
@@ -293,15 +293,20 @@ def _search(kind: _Kind, amount: float, score: Callable[[_Kind, float], float]) 
         return
     scale = [kind.amounts[0] ** 2 / kind.amounts[1], *kind.amounts, kind.amounts[-1] ** 2 / kind.amounts[-2]]
     place = scale.index(amount)
-    found = minimize_scalar(
+    best = minimize_scalar(
         lambda x: -score(kind, float(f"{exp(x):.2g}")),
         bounds=(log(scale[place - 1]), log(scale[place + 1])),
         method="bounded",
         options={"maxiter": _SEARCH_STEPS, "xatol": 0.01},
     )
+    digit = 10.0 ** (floor(best.x / log(10.0)) - 1)
+    number = round(exp(best.x) / digit)
+    for way in (-1, 1):
+        while score(kind, float(f"{(number + way) * digit:.2g}")) > score(kind, float(f"{number * digit:.2g}")):
+            number += way
     if kind.form == DELAY:
         timestep = kind.amounts[0]
-        score(kind, timestep * ceil(exp(found.x) / timestep))
+        score(kind, timestep * ceil(exp(best.x) / timestep))
 
 
 @dataclass
@@ -344,9 +349,12 @@ class _Recorder(gym.Wrapper[Any, Any, Any, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         self.actions, self._rows = [], []
         try:
-            return self.env.reset(seed=seed, options=options)
-        finally:  # also where an ending is true already, such as by a wrong sensor
+            outcome = self.env.reset(seed=seed, options=options)
+        except EvaluationError:  # an ending is true already, such as by a wrong sensor
             self._note()
+            raise
+        self._note()
+        return outcome
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         outcome = self.env.step(action)
@@ -616,9 +624,7 @@ def _kinds(here: World, unchanged: _Recorder, document: Document, permissions: P
         return lambda amount, recorded: _repeated_in(unchanged, recorded, act(amount))
 
     def with_plan(plan: Plan) -> Callable[[float, Sequence[_Recorded]], list[Array]]:
-        return lambda amount, recorded: _repeated(
-            World(changed_scenario(document, plan.change(amount)).program, here.engine), recorded, permissions
-        )
+        return lambda amount, recorded: _repeated(World(changed_program(document, plan.change(amount)), here.engine), recorded, permissions)
 
     for family, name, act in _actions(here.program):
         yield _Kind(family, name, with_actions(partial(_always, act)))

@@ -21,7 +21,7 @@ from typing import Any, Literal, NamedTuple
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
-from deepbots_cli.compiler import check
+from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.diagnostics import Source as SourceText
 from deepbots_cli.document import Document, MappingNode, Node, Permissions, ScalarNode, SequenceNode
@@ -327,11 +327,27 @@ def changed_scenario(document: Document, change: Change) -> Compiled:
     Raises:
         ScenarioError: The changed scenario has errors.
     """
+    return api.compile(_checked(document, change))
+
+
+def changed_program(document: Document, change: Change) -> Program:
+    """The same without linting, which takes a fifth of the time in which a short episode is compiled, built and simulated.
+
+    Raises:
+        ScenarioError: The changed scenario does not compile.
+    """
+    checked = _checked(document, change)
+    if checked.program is None:
+        raise ScenarioError([*checked.findings])
+    return checked.program
+
+
+def _checked(document: Document, change: Change) -> CheckedScenario:
     findings = Findings(document.findings.limit)
     over = parse(SourceText("the change", json.dumps(change)), findings)
     assert document.root is not None
     assert isinstance(over, MappingNode)
-    return api.compile(check(replace(document, root=merge(document.root, over), findings=findings)))
+    return check(replace(document, root=merge(document.root, over), findings=findings))
 
 
 def _level(label: str, result: EvaluationResult, metric: Metric, bar: float) -> RobustnessLevel:

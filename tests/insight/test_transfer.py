@@ -131,7 +131,11 @@ ERRORS = {
     ),
     "payload": ("quadrotor", "robots: {drone: {links: {base_link: {mass: 1.25 * urdf}}}}", "mass of drone.base_link x 1.25"),
     "slippery ground": ("quadruped", "world: {ground: {friction: 0.5}}", "friction of the ground x 0.5"),
-    "mass of a trunk": ("quadruped", "robots: {dog: {links: {trunk: {mass: 1.5 * urdf}}}}", "mass of dog.trunk x 1.5"),
+    "mass of a trunk": (
+        "quadruped",
+        'robots: {dog: {links: {trunk: {mass: "1.5 * urdf * uniform(0.9 .. 1.1)"}}}}',
+        "mass of dog.trunk x 1.5",
+    ),
     "late joints": (
         "quadruped",
         "robots: {dog: {sensors: {q: {latency: 40 ms}}}}",
@@ -174,7 +178,7 @@ ERRORS = {
         cart("actuators: {wheels: {max_torque: 0.02 N*m}}"),
         r"motor strength x 0.002 or torque limit of cart.wheels 0.02 N\*m",
     ),
-    "torque limit": ("balancer", bot("actuators: {wheels: {max_torque: 0.015 N*m}}"), r"torque limit of bot.wheels 0.015 N\*m"),
+    "torque limit": ("balancer", bot("actuators: {wheels: {max_torque: 0.0015 N*m}}"), r"torque limit of bot.wheels 0.0015 N\*m"),
     "sensor late by a part of a timestep": (
         "cartpole",
         cart("sensors: {pole_angle: {latency: 70 ms}}"),
