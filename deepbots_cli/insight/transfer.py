@@ -300,10 +300,10 @@ def _search(kind: _Kind, amount: float, score: Callable[[_Kind, float], float]) 
         options={"maxiter": _SEARCH_STEPS, "xatol": 0.01},
     )
     digit = 10.0 ** (floor(best.x / log(10.0)) - 1)
-    number = round(exp(best.x) / digit)
-    for way in (-1, 1):
-        while score(kind, float(f"{(number + way) * digit:.2g}")) > score(kind, float(f"{number * digit:.2g}")):
-            number += way
+    amount = float(f"{exp(best.x):.2g}")
+    for step in (-digit, digit):
+        while scale[place - 1] < (beside := float(f"{amount + step:.2g}")) < scale[place + 1] and score(kind, beside) > score(kind, amount):
+            amount = beside
     if kind.form == DELAY:
         timestep = kind.amounts[0]
         score(kind, timestep * ceil(exp(best.x) / timestep))
