@@ -79,15 +79,13 @@ _GROWN, _FEW = 0.1, 5
 _PROBED_EPISODES, _PROBED_STEPS, _LEAST_STEPS = 2, 50, 15
 """Episodes in which most changes are simulated, those with the largest differences, and steps of each at most and at least."""
 _REFINED = 8
-"""Kinds of changes that are simulated with all amounts in these episodes."""
+"""Kinds of changes that are simulated with all amounts in these episodes, and with the best one in all episodes."""
 _SEARCHED, _SEARCH_STEPS = 6, 7
 """Kinds whose amount is searched between the amounts beside the best one, and simulations of such a search."""
 _EXPLAINS_ALL = 0.9995
 """From this share on, no better amount is searched."""
-_FINAL = 8
-"""Changes that are simulated in all episodes."""
 _SAME = 1e-3
-"""Two changes have the same effect if their squared difference is at most this share of the squared difference of the worlds."""
+"""Two changes have the same effect if their squared difference is at most this share of that of the effect, and of the two worlds."""
 _LONGEST = 0.35
 """The longest time that is tried, in s, unless it has fewer than three timesteps; amounts are doubled from one timestep on."""
 MIN_EPISODES = FORWARD_BATCH_SIZE
@@ -274,13 +272,12 @@ def _simulated_causes(comparison: _Comparison, kinds: Sequence[_Kind], on_world:
         _search(group.kinds[0], best(group.kinds[0]), score)
         on_world(number + 1, len(likely[:_SEARCHED]))
     rows = []
-    likely.sort(key=lambda group: -scores[group.kinds[0], best(group.kinds[0])])
-    for number, group in enumerate(likely[:_FINAL]):
+    for number, group in enumerate(likely):
         amount = best(group.kinds[0])
         values = comparison.simulated(group.kinds[0], amount)
         if values is not None:
             rows.append(_Row([kind.text(amount) for kind in group.kinds], values))
-        on_world(number + 1, len(likely[:_FINAL]))
+        on_world(number + 1, len(likely))
     return rows
 
 
@@ -469,14 +466,14 @@ class _Comparison:
         return along**2 / size if along > 0.0 else 0.0
 
     def all_same(self, effects: Sequence[Sequence[Array]], others: Sequence[Sequence[Array]]) -> bool:
-        """Whether worlds have the same values, apart from what is small beside the difference."""
+        """Whether worlds have the same values, apart from what is small beside their effects and beside the difference."""
         if len(effects) != len(others):
             return False
-        size = sum(float(np.square(self._off(mine, other)).sum()) for mine, other in zip(self._here, self._there, strict=True))
-        return all(
-            sum(float(np.square(self._off(one, other)).sum()) for one, other in zip(values, other_values, strict=True)) <= _SAME * size
-            for values, other_values in zip(effects, others, strict=True)
-        )
+        size = sum(min(self._apart(self._here, values), self._apart(self._here, self._there)) for values in effects)
+        return sum(map(self._apart, effects, others)) <= _SAME * size
+
+    def _apart(self, one: Sequence[Array], other: Sequence[Array]) -> float:
+        return sum(float(np.square(off).sum()) for off in map(self._off, one, other))
 
     def _off(self, mine: Array, other: Array) -> Array:
         """The difference of the numbers of an episode in widths, 1 at most, and 0 where one of both worlds has ended."""
