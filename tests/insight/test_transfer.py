@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,7 +13,7 @@ import yaml
 
 from deepbots_cli import api
 from deepbots_cli.cli import main
-from deepbots_cli.insight.transfer import Gate, World, WorldComparison, _works, compare_worlds, transfer
+from deepbots_cli.insight.transfer import Gate, Transfer, World, WorldComparison, _names, _works, compare_worlds, transfer
 from deepbots_cli.learning import train
 from deepbots_cli.learning.robustness import base_document, changed_scenario
 from deepbots_cli.learning.run import Run
@@ -262,3 +263,25 @@ def test_whether_a_policy_works_follows_from_the_requirements_or_from_solved() -
         "`solved` of the scenario (mean return >= 195 over 100 episodes)",
     )
     assert _works(names, results, [], None) == ((None, None), "")
+
+
+def test_two_worlds_in_one_engine_do_not_read_as_a_change_of_the_engine() -> None:
+    assert _names(("CartPole", "CartPoleReal"), ("mujoco", "mujoco"), True)[1] == "CartPole and CartPoleReal, both in mujoco"
+    assert _names(("CartPole", "CartPole"), ("mujoco", "mujoco"), True) == (
+        ("training", "other"),
+        "training and other, both CartPole in mujoco",
+    )
+    assert _names(("CartPole", "CartPole"), ("pybullet", "mujoco"), False) == (
+        ("pybullet", "mujoco"),
+        "CartPole in pybullet and in mujoco",
+    )
+
+
+def test_a_policy_that_works_in_both_worlds_with_half_the_return_has_a_much_lower_return() -> None:
+    from types import SimpleNamespace as Result
+
+    here: Any = Result(mean_return=39.7, return_interval=(39.0, 40.4))
+    there: Any = Result(mean_return=18.5, return_interval=(17.9, 19.1))
+    rest: Any = (None, None, (), (True, True), "")
+    assert Transfer(Path(), ("here", "there"), "", here, there, *rest).is_much_lower
+    assert not Transfer(Path(), ("here", "there"), "", here, here, *rest).is_much_lower
