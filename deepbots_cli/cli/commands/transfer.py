@@ -246,14 +246,15 @@ def _verdict(found: Transfer) -> list[str]:
     worlds = [*zip(found.names, (found.here, found.there), strict=True)][:: -1 if other and not one else 1]
     names = [name for name, _ in worlds]
     scores = [percent(result.success_rate) if is_rate else number(result.mean_return) for _, result in worlds]
-    shown = f"{'success rate' if is_rate else 'mean return'} {scores[0]} and {scores[1]}, judged by {found.here.episodes} episodes"
+    measure = "success rate " if is_rate else "mean return "
+    shown = f"{'' if is_lower else measure}{scores[0]} and {scores[1]}, judged by {found.here.episodes} episodes"
     if one is None or other is None:
         return [
             f"in {names[0]} and {names[1]}: {shown}",
             "whether it works is not defined: add --min-success RATE, or `solved` to the scenario",
         ]
     if is_lower:
-        said = f"works in both worlds, but the return in {names[1]} is much lower"
+        said = f"works in both worlds, but with a much lower mean return in {names[1]}"
     elif one and other:
         said = "works in both worlds"
     elif one or other:
