@@ -193,7 +193,7 @@ ERRORS = {
     "offset of a sensor": ("cartpole", cart("emit: {pole_angle: pole_angle + 0.7 deg}"), "cart.pole_angle is larger by 0.0122 rad"),
 }
 """Errors of a world: the scenario, its change, and what must be named first."""
-FEW = ["sign of a sensor", "amount between levels: mass", "a small share of the torque", "delay of motors"]
+FEW = ["sign of a sensor", "amount between levels: mass"]
 
 
 @pytest.mark.parametrize("error", few(list(ERRORS), FEW))
