@@ -5,8 +5,9 @@ number of the observation and of each reward term then comes from the world, not
 world that make it more like the second one: another order, sign, unit or age of a number, or another latency, mass, friction, strength,
 gain, lag or order of motors. Changes of the physics are simulated, each with the same starts and actions.
 
-Of about a hundred such worlds most explain nothing. One change of each kind is therefore simulated first, in two episodes, and until the
-differences have grown; then all amounts of the kinds that explain most, and in the end the best of these in all episodes.
+Most kinds of changes explain nothing. A small, a middle and a large amount of each kind are therefore simulated first, in two episodes,
+and until the differences have grown; then all amounts of the likely kinds, and amounts between those of the best few. In the end the best
+amount of each kind is simulated in all episodes.
 """
 
 from __future__ import annotations
@@ -14,14 +15,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations, islice
-from math import inf
+from math import ceil, exp, floor, inf, log
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
@@ -32,11 +35,15 @@ from deepbots_cli.insight.conditions import InstrumentedProgram, instrument_prog
 from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
 from deepbots_cli.learning.robustness import (
+    DELAY,
+    FACTOR,
+    SHARE_OF_NOMINAL,
     Change,
     Plan,
     Robustness,
     base_document,
-    changed_scenario,
+    changed_program,
+    delayed,
     evaluate_robustness,
     friction,
     listed,
@@ -47,6 +54,7 @@ from deepbots_cli.learning.robustness import (
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.learning.spread import ONE_BY_ONE, Spread
 from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Thrust
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import sequence_driver
@@ -58,6 +66,8 @@ EPISODES, MAX_STEPS = 6, 100
 """How many episodes are compared, and how many steps of each: small differences grow, and in the end only show that they have grown."""
 _THRESHOLD = 0.01
 """A number differs if it is off by more than this share of the width that it spans in the first world."""
+_MEASURED = "order, sign, unit, offset and age of numbers"
+"""What is tried without a simulation."""
 _LATEST = 8
 """The largest age of a number, in steps, that is tried."""
 _EXACT = 0.05
@@ -66,14 +76,18 @@ _LEAST_EXPLAINED = 0.3
 """Share of the squared differences that a cause must explain."""
 _GROWN, _FEW = 0.1, 5
 """A difference has grown from this share of the width on; so many moments more are counted as early ones."""
-_PROBED_EPISODES, _PROBED_STEPS = 2, 50
-"""Episodes in which one change of each kind is simulated, those with the largest differences, and steps of each at most."""
-_REFINED = 12
-"""Kinds of changes that are simulated with all amounts in these episodes."""
-_FINAL = 8
-"""Changes that are simulated in all episodes."""
-_GAINS = {"smaller": (0.75, 0.5, 0.25), "larger": (1.25, 1.5, 2.0)}
-"""Factors on an action or a command, by side."""
+_PROBED_EPISODES, _PROBED_STEPS, _LEAST_STEPS = 2, 50, 15
+"""Episodes in which most changes are simulated, those with the largest differences, and steps of each at most and at least."""
+_REFINED = 8
+"""Kinds of changes that are simulated with all amounts in these episodes, and with the best one in all episodes."""
+_SEARCHED, _SEARCH_STEPS = 6, 7
+"""Kinds whose amount is searched between the amounts beside the best one, and simulations of such a search."""
+_EXPLAINS_ALL = 0.9995
+"""From this share on, no better amount is searched."""
+_SAME = 1e-3
+"""Two changes have the same effect if their squared difference is at most this share of that of the effect, and of the two worlds."""
+_LONGEST = 0.35
+"""The longest time that is tried, in s, unless it has fewer than three timesteps; amounts are doubled from one timestep on."""
 MIN_EPISODES = FORWARD_BATCH_SIZE
 """Episodes of an evaluation that a number of steps does not leave out: deepbots plays as many at a time."""
 QUICK_EPISODES = 4
@@ -82,6 +96,8 @@ _MAX_LINKS = 12
 """The largest number of links whose mass is changed."""
 _REWARD = "reward."
 """How the name of a reward term begins."""
+_MAX_JOINED = 3
+"""Changes with the same effect that are named; more are counted."""
 _MAX_MOTORS = 12
 """The largest number of motors whose order is tried."""
 _UNITS = {
@@ -129,7 +145,7 @@ class Cause(NamedTuple):
 
 @dataclass(frozen=True)
 class WorldComparison:
-    """`differences` in the order in which they begin, and `causes` from the one that explains most.
+    """`differences` in the order in which they begin, `causes` from the one that explains most, and in words the kinds of changes `tried`.
 
     A cause explains numbers of the observation, so there is none if only reward terms differ.
     """
@@ -138,6 +154,7 @@ class WorldComparison:
     steps: int
     differences: tuple[Difference, ...]
     causes: tuple[Cause, ...]
+    tried: tuple[str, ...] = ()
 
     @property
     def observation_differs(self) -> bool:
@@ -192,31 +209,110 @@ def compare_worlds(
     result = WorldComparison(len(recorded), max(len(each.actions) for each in recorded), tuple(comparison.differences()), ())
     if not result.observation_differs:
         return result
-    causes = [*comparison.measured_causes()]
+    rows = [*comparison.measured_causes()]
     with closing(_Recorder(here, permissions)) as unchanged:
-        causes += _simulated_causes(comparison, [*_changes(here, unchanged, document, permissions)], on_world)
+        kinds = [*_kinds(here, unchanged, document, permissions)]
+        for row in _simulated_causes(comparison, kinds, on_world):
+            same = next((other for other in rows if comparison.all_same([other.values], [row.values])), None)
+            if same is None:
+                rows.append(row)
+            else:
+                same.texts.extend(row.texts)
+    causes = [Cause(_either(row.texts), comparison.explained(row.values)) for row in rows]
     likely = sorted((cause for cause in causes if cause.explained >= _LEAST_EXPLAINED), key=lambda cause: -cause.explained)  # stable
-    return replace(result, causes=tuple(likely))
+    families = {kind.family: kind.tried for kind in reversed(kinds)}
+    return replace(result, causes=tuple(likely), tried=(_MEASURED, *reversed(families.values())))
 
 
-def _simulated_causes(comparison: _Comparison, kinds: Sequence[list[_Change]], on_world: Callable[[int, int], object]) -> Iterator[Cause]:
+def _either(texts: Sequence[str]) -> str:
+    more = len(texts) - _MAX_JOINED
+    return " or ".join([*texts[:_MAX_JOINED], *([f"{more} more"] if more > 0 else [])])
+
+
+class _Row(NamedTuple):
+    """Changes with the same effect, and the values of all episodes with one of them."""
+
+    texts: list[str]
+    values: list[Array]
+
+
+def _simulated_causes(comparison: _Comparison, kinds: Sequence[_Kind], on_world: Callable[[int, int], object]) -> list[_Row]:
     """The changes that explain most of a few short episodes, and how much they explain of all."""
-    probe = comparison.part(_PROBED_EPISODES, _PROBED_STEPS)
-    scores: dict[_Change, float] = {}
+    probe = comparison.part()
+    scores: dict[tuple[_Kind, float], float] = {}
 
-    def score(changes: Sequence[_Change]) -> None:
-        for number, change in enumerate(changes):
-            scores[change] = max((cause.explained for cause in probe.tried(change)), default=-inf)
-            on_world(number + 1, len(changes))
+    def score(kind: _Kind, amount: float) -> float:
+        if (kind, amount) not in scores:
+            values = probe.simulated(kind, amount)
+            scores[kind, amount] = -1.0 if values is None else max(probe.explained(values), -1.0)
+        return scores[kind, amount]
 
-    probed = {kind[(len(kind) - 1) // 2]: kind for kind in kinds}
-    score(list(probed))
-    best = sorted((change for change in probed if scores[change] > 0.0), key=lambda change: -scores[change])[:_REFINED]
-    score([change for chosen in best for change in probed[chosen] if change not in scores])
-    last = sorted((change for change in scores if scores[change] > 0.0), key=lambda change: -scores[change])[:_FINAL]
-    for number, change in enumerate(last):
-        yield from comparison.tried(change)
-        on_world(number + 1, len(last))
+    def best(kind: _Kind) -> float:
+        return max((amount for known, amount in scores if known is kind), key=lambda amount: (round(scores[kind, amount], 9), amount))
+
+    groups: list[_Group] = []
+    for number, kind in enumerate(kinds):
+        effects = [values for amount in kind.probes if (values := probe.simulated(kind, amount)) is not None]
+        on_world(number + 1, len(kinds))
+        likeness = max((probe.likeness(values) if kind.form else probe.explained(values) for values in effects), default=0.0)
+        if likeness <= 0.0:
+            continue
+        same = next((group for group in groups if group.kinds[0].probes == kind.probes and probe.all_same(group.effects, effects)), None)
+        if same is None:
+            groups.append(_Group([kind], effects, likeness))
+        else:
+            same.kinds.append(kind)
+    likely = sorted(groups, key=lambda group: -group.likeness)[:_REFINED]
+    for number, group in enumerate(likely):
+        for amount in group.kinds[0].amounts:
+            score(group.kinds[0], amount)
+        on_world(number + 1, len(likely))
+    likely.sort(key=lambda group: -scores[group.kinds[0], best(group.kinds[0])])
+    for number, group in enumerate(likely[:_SEARCHED]):
+        _search(group.kinds[0], best(group.kinds[0]), score)
+        on_world(number + 1, len(likely[:_SEARCHED]))
+    rows = []
+    for number, group in enumerate(likely):
+        amount = best(group.kinds[0])
+        values = comparison.simulated(group.kinds[0], amount)
+        if values is not None:
+            rows.append(_Row([kind.text(amount) for kind in group.kinds], values))
+        on_world(number + 1, len(likely))
+    return rows
+
+
+def _search(kind: _Kind, amount: float, score: Callable[[_Kind, float], float]) -> None:
+    """Score amounts between the neighbors of an amount: on a logarithmic scale with two digits, and then one digit up and down.
+
+    A latency of a part of a timestep has the effect of a whole one, so of a time, the next number of timesteps is scored, too.
+    """
+    if len(kind.amounts) < 2 or score(kind, amount) >= _EXPLAINS_ALL:
+        return
+    scale = [kind.amounts[0] ** 2 / kind.amounts[1], *kind.amounts, kind.amounts[-1] ** 2 / kind.amounts[-2]]
+    place = scale.index(amount)
+    best = minimize_scalar(
+        lambda x: -score(kind, float(f"{exp(x):.2g}")),
+        bounds=(log(scale[place - 1]), log(scale[place + 1])),
+        method="bounded",
+        options={"maxiter": _SEARCH_STEPS, "xatol": 0.01},
+    )
+    digit = 10.0 ** (floor(best.x / log(10.0)) - 1)
+    amount = float(f"{exp(best.x):.2g}")
+    for step in (-digit, digit):
+        while scale[place - 1] < (beside := float(f"{amount + step:.2g}")) < scale[place + 1] and score(kind, beside) > score(kind, amount):
+            amount = beside
+    if kind.form == DELAY:
+        timestep = kind.amounts[0]
+        score(kind, timestep * ceil(exp(best.x) / timestep))
+
+
+@dataclass
+class _Group:
+    """Kinds whose changes have the same effect, and how much this effect is like the difference, whatever its amount."""
+
+    kinds: list[_Kind]
+    effects: list[list[Array]]
+    likeness: float
 
 
 class _Column(NamedTuple):
@@ -250,9 +346,12 @@ class _Recorder(gym.Wrapper[Any, Any, Any, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         self.actions, self._rows = [], []
         try:
-            return self.env.reset(seed=seed, options=options)
-        finally:  # also where an ending is true already, such as by a wrong sensor
+            outcome = self.env.reset(seed=seed, options=options)
+        except EvaluationError:  # an ending is true already, such as by a wrong sensor
             self._note()
+            raise
+        self._note()
+        return outcome
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         outcome = self.env.step(action)
@@ -356,13 +455,39 @@ class _Comparison:
             shares.append(1.0 - left / base if base else 0.0)
         return float(np.mean(shares))
 
-    def part(self, episodes: int, steps: int) -> _Comparison:
+    def likeness(self, values: Sequence[Array]) -> float:
+        """How much of the difference the change would explain with another amount if its effect grew in proportion: the squared cosine.
+
+        It is 0 if the effect has the other direction.
+        """
+        effect, difference = (np.vstack([*map(self._off, self._here, world)]) for world in (values, self._there))
+        along = float((effect * difference).sum())
+        size = float((effect**2).sum() * (difference**2).sum())
+        return along**2 / size if along > 0.0 else 0.0
+
+    def all_same(self, effects: Sequence[Sequence[Array]], others: Sequence[Sequence[Array]]) -> bool:
+        """Whether worlds have the same values, apart from what is small beside their effects and beside the difference."""
+        if len(effects) != len(others):
+            return False
+        size = sum(min(self._apart(self._here, values), self._apart(self._here, self._there)) for values in effects)
+        return sum(map(self._apart, effects, others)) <= _SAME * size
+
+    def _apart(self, one: Sequence[Array], other: Sequence[Array]) -> float:
+        return sum(float(np.square(off).sum()) for off in map(self._off, one, other))
+
+    def _off(self, mine: Array, other: Array) -> Array:
+        """The difference of the numbers of an episode in widths, 1 at most, and 0 where one of both worlds has ended."""
+        both = min(len(mine), len(other))
+        off = np.clip((other[:both] - mine[:both]) / self._width, -1.0, 1.0)[:, self._numbers]
+        return np.pad(off, ((0, max(len(mine), len(other)) - both), (0, 0)))
+
+    def part(self) -> _Comparison:
         """The comparison of a few episodes, those with the largest differences, until these have grown, and of a few steps."""
         apart = [np.square((mine[:early] - other[:early]) / self._width)[:, self._numbers].mean() for mine, other, early in self._pairs()]
-        chosen = sorted(sorted(range(len(apart)), key=lambda number: -apart[number])[:episodes])
+        chosen = sorted(sorted(range(len(apart)), key=lambda number: -apart[number])[:_PROBED_EPISODES])
         recorded, found = [], []
         for number in chosen:
-            length = min(self._early[number], steps + 1)
+            length = min(max(self._early[number], _LEAST_STEPS + 1), _PROBED_STEPS + 1)
             start, actions, values = self._recorded[number]
             recorded.append(_Recorded(start, actions[: length - 1], values[:length]))
             found.append(self._there[number][:length])
@@ -372,12 +497,13 @@ class _Comparison:
         """The values of each episode in both worlds, and the moments before the differences have grown."""
         yield from zip(self._here, self._there, self._early, strict=True)
 
-    def tried(self, change: _Change) -> list[Cause]:
-        """How much a change explains; nothing if it is none of this scenario."""
+    def simulated(self, kind: _Kind, amount: float) -> list[Array] | None:
+        """The values with a change; None if it is none of this scenario."""
         try:
-            return [Cause(change.text, self.explained(change.simulate(self._recorded)))]
+            values = kind.simulate(amount, self._recorded)
         except DeepbotsError:
-            return []
+            return None
+        return values if all(np.isfinite(each).all() for each in values) else None
 
     def differences(self) -> list[Difference]:
         found = []
@@ -393,7 +519,7 @@ class _Comparison:
                 found.append(Difference(column.name, column.unit, *first, here, there, float(np.sqrt(self._base[place]))))
         return sorted(found, key=lambda each: (each.step, -each.share))
 
-    def measured_causes(self) -> Iterator[Cause]:
+    def measured_causes(self) -> Iterator[_Row]:
         """Errors of measured numbers: all that are exact, together, since each explains only its own number."""
         texts: list[str] = []
         late: dict[int, list[str]] = {}
@@ -413,7 +539,7 @@ class _Comparison:
             f"{listed(names)} {'is' if len(names) == 1 else 'are'} {age} step{'s' if age > 1 else ''} late" for age, names in late.items()
         ]
         if texts:
-            yield Cause("; ".join(texts), self.explained(fixed))
+            yield _Row(["; ".join(texts)], fixed)
 
     def _exact(self, place: int) -> tuple[str, int, list[Array]] | None:
         """The change of a number after which hardly a difference is left: in words, its age in steps, and the number."""
@@ -451,29 +577,59 @@ class _Comparison:
 
 # Changes of the first world
 
-Simulation = Callable[[Sequence[_Recorded]], list[Array]]
+_FACTORS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.25, 0.5, 0.8, 1.25, 2.0, 4.0, 8.0)
+"""Factors on a value. Motors are often much stronger than needed, so only a small share of their strength has an effect."""
+_PROBED_FACTORS = (0.003, 0.5, 2.0)
+_MASS_FACTORS = tuple(factor for factor in _FACTORS if factor >= 0.1)
+_PROBED_MASSES = (0.5, 2.0)
 
 
-class _Change(NamedTuple):
-    """A change of the first world: in words, and what simulates episodes with it."""
+@dataclass(frozen=True, eq=False)
+class _Kind:
+    """A kind of change of the first world.
 
-    text: str
-    simulate: Simulation
+    Attributes:
+        family: What is tried, in words without names.
+        name: Its name, which an amount follows.
+        simulate: Simulates episodes with an amount of it.
+        amounts: The amounts that are tried, sorted.
+        probes: Those that are simulated first.
+        form: The format of an amount; empty if the change has none.
+    """
+
+    family: str
+    name: str
+    simulate: Callable[[float, Sequence[_Recorded]], list[Array]]
+    amounts: tuple[float, ...] = (1.0,)
+    probes: tuple[float, ...] = (1.0,)
+    form: str = ""
+
+    def text(self, amount: float) -> str:
+        return f"{self.name} {self.form.format(amount)}".rstrip()
+
+    @property
+    def tried(self) -> str:
+        """The family, and its amounts in words."""
+        smallest, largest = self.form.format(self.amounts[0]), self.form.format(self.amounts[-1])
+        return f"{self.family} ({smallest} .. {largest})" if self.form else self.family
 
 
-def _changes(here: World, unchanged: _Recorder, document: Document, permissions: Permissions) -> Iterator[list[_Change]]:
-    """What may be different in a world: kinds of changes, each by the amount of the change. `unchanged` is `here`, for other actions."""
+def _kinds(here: World, unchanged: _Recorder, document: Document, permissions: Permissions) -> Iterator[_Kind]:
+    """What may be different in a world. `unchanged` is `here`, for other actions."""
 
-    def of(change: Change) -> Simulation:
-        return lambda recorded: _repeated(World(changed_scenario(document, change).program, here.engine), recorded, permissions)
+    def with_actions(act: Callable[[float], Act]) -> Callable[[float, Sequence[_Recorded]], list[Array]]:
+        return lambda amount, recorded: _repeated_in(unchanged, recorded, act(amount))
 
-    def with_actions(act: Act) -> Simulation:
-        return lambda recorded: _repeated_in(unchanged, recorded, act)
+    def with_plan(plan: Plan) -> Callable[[float, Sequence[_Recorded]], list[Array]]:
+        return lambda amount, recorded: _repeated(World(changed_program(document, plan.change(amount)), here.engine), recorded, permissions)
 
-    for kind in _actions(here.program):
-        yield [_Change(text, with_actions(act)) for text, act in kind]
+    for family, name, act in _actions(here.program):
+        yield _Kind(family, name, with_actions(partial(_always, act)))
+    for name, scaled in _action_gains(here.program):
+        yield _Kind("gain of actions", name, with_actions(scaled), _MASS_FACTORS, _PROBED_MASSES, FACTOR)
     root, program = document.root, here.program
     assert isinstance(root, MappingNode)
+    times = _times(program.world.timestep)
     for plan in (
         *(plan for plan in plans(root, program) if not plan.name.startswith("mass of ")),
         *masses(root, program, _MAX_LINKS),
@@ -481,19 +637,32 @@ def _changes(here: World, unchanged: _Recorder, document: Document, permissions:
         *_latencies(root, program),
         *_commands(root, program),
     ):
-        if plan.name not in ("message loss", "observation noise"):
-            for levels in plan.sides.values():
-                yield [_Change(f"{plan.name} {label}", of(change)) for label, change in levels]
+        family = plan.name.partition(" of ")[0]
+        if plan.form == DELAY:
+            yield _Kind(family, plan.name, with_plan(plan), times, (times[len(times) // 3], times[-1]), DELAY)
+        elif plan.form == FACTOR:
+            is_mass = family == "mass"
+            amounts, probes = (_MASS_FACTORS, _PROBED_MASSES) if is_mass else (_FACTORS, _PROBED_FACTORS)
+            yield _Kind(family, plan.name, with_plan(plan), amounts, probes, FACTOR)
+    for plan, largest in _torque_limits(program):
+        limits, first = (tuple(factor * largest for factor in each if factor < 1.0) for each in (_FACTORS, _PROBED_FACTORS))
+        yield _Kind("torque limit", plan.name, with_plan(plan), limits, first, plan.form)
+
+
+def _times(timestep: float) -> tuple[float, ...]:
+    """Times in ms, from one timestep on; each is twice the previous one."""
+    count = max(3, 1 + int(np.log2(_LONGEST / timestep)))
+    return tuple(1000 * timestep * 2**power for power in range(count))
 
 
 def _frictions(root: MappingNode, program: Program) -> Iterator[Plan]:
     """Another friction of each object that can move."""
-
-    def of(name: str) -> Callable[[float], Change]:
-        return lambda factor: {"objects": {name: friction(root, ("objects", name), factor)}}
-
     for name in (body.name for body in program.world.objects if not body.fixed and body.name in entries_at(root, "objects")):
-        yield Plan.of_factors(f"friction of {name}", of(name))
+        yield Plan(f"friction of {name}", partial(_friction_of, root, name))
+
+
+def _friction_of(root: MappingNode, name: str, factor: float) -> Change:
+    return {"objects": {name: friction(root, ("objects", name), factor)}}
 
 
 def _latencies(root: MappingNode, program: Program) -> Iterator[Plan]:
@@ -501,39 +670,47 @@ def _latencies(root: MappingNode, program: Program) -> Iterator[Plan]:
     for robot in program.robots:
         for sensor in entries_at(root, "robots", robot.name, "sensors"):
             path = ("robots", robot.name, "sensors", sensor, "latency")
-            yield _later(root, program, f"latency of the sensor {robot.name}.{sensor}", [path])
+            yield Plan(f"latency of the sensor {robot.name}.{sensor}", partial(_later, root, [path]), form=DELAY)
 
 
 def _commands(root: MappingNode, program: Program) -> Iterator[Plan]:
-    """Another gain of the command of each actuator, and a larger time constant; also of all together."""
+    """For each actuator and for all together: another gain of the command, a delay, and a larger time constant."""
     places = [(robot.name, name) for robot in program.robots for name in entries_at(root, "robots", robot.name, "actuators")]
     chosen = {f"{robot}.{name}": [(robot, name)] for robot, name in places[:_MAX_MOTORS]}
     if len(places) > 1:
         chosen["all actuators"] = places
     for words, actuators in chosen.items():
-        written_commands = {("robots", robot, "apply", name): written(root, "robots", robot, "apply", name) for robot, name in actuators}
-        commands = {path: command for path, command in written_commands.items() if command}
-        if commands:
-            sides = {
-                side: [
-                    (f"x {factor:g}", _together({path: f"{factor:g} * ({command})" for path, command in commands.items()}))
-                    for factor in factors
-                ]
-                for side, factors in _GAINS.items()
-            }
-            yield Plan(f"command of {words}", sides)
-        paths = [("robots", robot, "actuators", name, "time_constant") for robot, name in actuators]
-        yield _later(root, program, f"time constant of {words}", paths)
+        paths = [("robots", robot, "apply", name) for robot, name in actuators]
+        if commands := [path for path in paths if written(root, *path)]:
+            yield Plan(f"command of {words}", partial(_scaled_texts, root, commands))
+        for key in ("time_constant", "delay"):
+            keys = [("robots", robot, "actuators", name, key) for robot, name in actuators]
+            yield Plan(f"{key.replace('_', ' ')} of {words}", partial(_later, root, keys), form=DELAY)
 
 
-def _later(root: MappingNode, program: Program, name: str, paths: Sequence[tuple[str, ...]]) -> Plan:
-    """Times that are longer by 1, 2 and 4 timesteps."""
-    owns = {path: written(root, *path) for path in paths}
-    levels = []
-    for count in (1, 2, 4):
-        delay = f"{1000 * program.world.timestep * count:g} ms"
-        levels.append((f"+{delay}", _together({path: delay + (f" + {own}" if own else "") for path, own in owns.items()})))
-    return Plan.one_way(name, levels)
+def _torque_limits(program: Program) -> Iterator[tuple[Plan, float]]:
+    """A lower limit of the torque or force of each motor, and its largest limit in N m or N."""
+    models = {robot.name: robot.model for robot in program.world.robots}
+    for robot in program.robots:
+        for motor in robot.actuators:
+            if isinstance(motor, Thrust) or not (limits := [limit for limit in motor.max_torque if limit]):
+                continue
+            path = ("robots", robot.name, "actuators", motor.name, "max_torque")
+            form = "{:g} N" if models[robot.name].joint(motor.joints[0]).type == "prismatic" else "{:g} N*m"
+            yield Plan(f"torque limit of {robot.name}.{motor.name}", partial(_limit, path, form), form=form), max(limits)
+
+
+def _limit(path: tuple[str, ...], form: str, limit: float) -> Change:
+    return _together({path: form.format(limit)})
+
+
+def _later(root: MappingNode, paths: Sequence[tuple[str, ...]], delay: float) -> Change:
+    return _together({path: delayed(delay, written(root, *path)) for path in paths})
+
+
+def _scaled_texts(root: MappingNode, paths: Sequence[tuple[str, ...]], factor: float) -> Change:
+    """Written values times a factor."""
+    return _together({path: f"{factor:g} * ({written(root, *path)})" for path in paths})
 
 
 def _together(values: Mapping[tuple[str, ...], str]) -> Change:
@@ -547,30 +724,44 @@ def _together(values: Mapping[tuple[str, ...], str]) -> Change:
     return change
 
 
-def _actions(program: Program) -> Iterator[list[tuple[str, Act]]]:
-    """Actions with another sign, order or gain: of ranges, or of the options of one choice."""
+def _actions(program: Program) -> Iterator[tuple[str, str, Act]]:
+    """Ranges with another sign or order, or options of one choice: what is tried, the change in words, and what changes an action."""
     names, choices = program.agent.range_names, program.agent.choices
     if len(choices) == 1 and not names:
         options = choices[0].options
         for one, other in combinations(range(len(options)), 2):
-            yield [(f"the options {options[one].name} and {options[other].name} are swapped", _swapped_options(one, other))]
-    if choices or not names:
+            text = f"the options {options[one].name} and {options[other].name} are swapped"
+            yield "order of options", text, _swapped_options(one, other)
+    if choices:
         return
-    for place, name in enumerate(names):
-        yield [(f"the action {name} has the other sign", _negated(np.where(np.arange(len(names)) == place, -1.0, 1.0)))]
-    is_few = len(names) <= _MAX_MOTORS
-    for one, other in combinations(range(len(names)), 2) if is_few else ():
+    for name, is_part in _parts(program).items():
+        yield "sign of actions", f"the action {name} has the other sign", _negated(np.where(is_part, -1.0, 1.0))
+    for one, other in combinations(range(len(names)), 2) if len(names) <= _MAX_MOTORS else ():
         places = np.arange(len(names))
         places[[one, other]] = other, one
-        yield [(f"the actions {names[one]} and {names[other]} are swapped", _ordered(places))]
+        yield "order of actions", f"the actions {names[one]} and {names[other]} are swapped", _ordered(places)
+
+
+def _action_gains(program: Program) -> Iterator[tuple[str, Callable[[float], Act]]]:
+    """Actions of ranges with another gain."""
+    if program.agent.choices:
+        return
     # The value of an action is its middle plus a share of its half width, so a gain also moves the share where the middle is not 0.
     middles = np.array([(part.high + part.low) / (part.high - part.low) for part in program.agent.ranges for _ in part.names])
-    scaled = {part.name: [name in part.names for name in names] for part in program.agent.ranges}
-    if is_few:
-        scaled |= {name: [name == other for other in names] for name in names}
-    for name, chosen in scaled.items():
-        for factors in _GAINS.values():
-            yield [(f"the action {name} x {factor:g}", _scaled(np.where(chosen, factor, 1.0), middles)) for factor in factors]
+    for name, is_part in _parts(program).items():
+        yield f"the action {name}", partial(_scaled, is_part, middles)
+
+
+def _parts(program: Program) -> dict[str, NDArray[np.bool_]]:
+    """Each range, and each component of a vector unless there are many, by its name: which numbers of an action it is."""
+    names = program.agent.range_names
+    parts = {part.name: np.array([name in part.names for name in names]) for part in program.agent.ranges}
+    components = {name: np.array([name == other for other in names]) for name in names}
+    return parts | components if len(names) <= _MAX_MOTORS else parts
+
+
+def _always(act: Act, _: float) -> Act:
+    return act
 
 
 def _swapped_options(one: int, other: int) -> Callable[[Any], Any]:
@@ -581,7 +772,8 @@ def _negated(signs: Array) -> Callable[[Any], Any]:
     return lambda action: np.asarray(action * signs, action.dtype)
 
 
-def _scaled(factors: Array, middles: Array) -> Callable[[Any], Any]:
+def _scaled(is_part: NDArray[np.bool_], middles: Array, factor: float) -> Callable[[Any], Any]:
+    factors = np.where(is_part, factor, 1.0)
     return lambda action: np.asarray(np.clip(factors * action + (factors - 1.0) * middles, -1.0, 1.0), action.dtype)
 
 
@@ -605,7 +797,8 @@ class Transfer:
 
     Attributes:
         run: The run directory.
-        names: The names of the two worlds.
+        names: The names of the two worlds, which differ.
+        between: The worlds with their scenarios and engines, in words.
         here: The evaluation in the world of the training.
         there: The evaluation in the other one, with the same starts.
         comparison: What differs between the worlds.
@@ -618,6 +811,7 @@ class Transfer:
 
     run: Path
     names: tuple[str, str]
+    between: str
     here: EvaluationResult
     there: EvaluationResult
     comparison: WorldComparison
@@ -629,6 +823,26 @@ class Transfer:
     @property
     def passed(self) -> bool:
         return all(gate.met for gate in self.gates)
+
+    @property
+    def is_much_lower(self) -> bool:
+        """Whether the return in the other world is lower by more than a fifth, and the intervals of both do not overlap."""
+        one, other = self.here, self.there
+        if one.return_interval is None or other.return_interval is None or other.return_interval[1] >= one.return_interval[0]:
+            return False
+        return other.mean_return < one.mean_return - (1 - SHARE_OF_NOMINAL) * abs(one.mean_return)
+
+
+def _names(scenarios: tuple[str, str], engines: tuple[str, str], is_other_scenario: bool) -> tuple[tuple[str, str], str]:
+    """Different names of two worlds, and the worlds with their scenarios and engines, in words."""
+    if not is_other_scenario:
+        return engines, f"{scenarios[0]} in {engines[0]} and in {engines[1]}"
+    is_same = scenarios[0] == scenarios[1]
+    names = ("training", "other") if is_same else scenarios
+    said = "both " + (f"{scenarios[0]} " if is_same else "")
+    if engines[0] == engines[1]:
+        return names, f"{names[0]} and {names[1]}, {said}in {engines[0]}"
+    return names, f"{names[0]} in {engines[0]} and {names[1]} in {engines[1]}" + (f", {said.rstrip()}" if is_same else "")
 
 
 def transfer(
@@ -695,9 +909,7 @@ def transfer(
     robustness = None
     if with_conditions:
         robustness = evaluate_robustness(run, min_success=min_success, min_return=min_return, on_level=on_world, spread=spread, **given)
-    names = run.record.engine, engine
-    if scenario is not None:
-        names = run.program.name, f"{program.name}{', changed' if scenario.overrides else ''} ({engine})"
+    names, between = _names((run.program.name, program.name), (run.record.engine, engine), scenario is not None)
     conditions = robustness.conditions if robustness is not None else ()
     judged = [*zip(names, (here, there), strict=True)]
     easiest = ((each.name, side.levels[0]) for each in conditions for side in each.sides if side.levels)
@@ -711,7 +923,7 @@ def transfer(
             met = result.mean_return >= min_return
             gates.append(Gate(f"{name}: mean return {result.mean_return:.4g} of at least {min_return:g}", met))
     works, required = _works(names, (here, there), gates, known.program.agent.solved)
-    return Transfer(run.path, names, here, there, comparison, robustness, tuple(gates), works, required)
+    return Transfer(run.path, names, between, here, there, comparison, robustness, tuple(gates), works, required)
 
 
 def _works(

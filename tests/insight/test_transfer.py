@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,7 +13,7 @@ import yaml
 
 from deepbots_cli import api
 from deepbots_cli.cli import main
-from deepbots_cli.insight.transfer import Gate, World, WorldComparison, _works, compare_worlds, transfer
+from deepbots_cli.insight.transfer import Gate, Transfer, World, WorldComparison, _names, _works, compare_worlds, transfer
 from deepbots_cli.learning import train
 from deepbots_cli.learning.robustness import base_document, changed_scenario
 from deepbots_cli.learning.run import Run
@@ -54,6 +55,10 @@ def bot(change: str) -> str:
 
 def rover(change: str) -> str:
     return f"robots: {{rover: {{{change}}}}}"
+
+
+def arm(change: str) -> str:
+    return f"robots: {{panda: {{{change}}}}}"
 
 
 HALF_TORQUE = "the action push x 0.5|motor strength x 0.5"
@@ -127,7 +132,11 @@ ERRORS = {
     ),
     "payload": ("quadrotor", "robots: {drone: {links: {base_link: {mass: 1.25 * urdf}}}}", "mass of drone.base_link x 1.25"),
     "slippery ground": ("quadruped", "world: {ground: {friction: 0.5}}", "friction of the ground x 0.5"),
-    "mass of a trunk": ("quadruped", "robots: {dog: {links: {trunk: {mass: 1.5 * urdf}}}}", "mass of dog.trunk x 1.5"),
+    "mass of a trunk": (
+        "quadruped",
+        'robots: {dog: {links: {trunk: {mass: "1.5 * urdf * uniform(0.9 .. 1.1)"}}}}',
+        "mass of dog.trunk x 1.5",
+    ),
     "late joints": (
         "quadruped",
         "robots: {dog: {sensors: {q: {latency: 40 ms}}}}",
@@ -145,11 +154,49 @@ ERRORS = {
         "right_wheel: 'clamp(gas - turn, -1 .. 1) * top_speed'}}}",
         "the action turn has the other sign",
     ),
+    "amount between levels: mass": ("balancer", bot("links: {body: {mass: 1.7 * urdf}}"), "mass of bot.body x 1.7"),
+    "amount beyond doubling: mass": ("balancer", bot("links: {body: {mass: 4 * urdf}}"), "mass of bot.body x 4"),
+    "amount between levels: lag": (
+        "balancer",
+        bot("actuators: {wheels: {time_constant: 55 ms}}"),
+        r"time constant of bot.wheels \+55 ms",
+    ),
+    "long lag": ("balancer", bot("actuators: {wheels: {time_constant: 80 ms}}"), r"time constant of bot.wheels \+80 ms"),
+    "delay of motors": ("balancer", bot("actuators: {wheels: {delay: 90 ms}}"), r"delay of bot.wheels \+90 ms"),
+    "delay of a vector of motors": ("panda_reach", arm("actuators: {motors: {delay: 160 ms}}"), r"delay of panda.motors \+160 ms"),
+    "gain of 0.4": ("cartpole", cart("apply: {wheels: 0.4 * drive * wheel_speed}"), "command of cart.wheels x 0.4"),
+    "gain of 0.7": ("balancer", bot("apply: {wheels: 0.7 * push * top_torque}"), "the action push x 0.7"),
+    "gain of a vector": ("panda_reach", arm("apply: {motors: joints + 0.3 * stride * turn}"), "the action turn x 0.3"),
+    "sign of a vector action": (
+        "panda_reach",
+        arm("apply: {motors: joints - stride * turn}"),
+        "the action turn has the other sign",
+    ),
+    "slippery track": ("cartpole", "world: {ground: {friction: 0.1}}", "friction of the ground x 0.1"),
+    "ice": ("cartpole", "world: {ground: {friction: 0.05}}", "friction of the ground x 0.05"),
+    "a small share of the torque": (
+        "cartpole",
+        cart("actuators: {wheels: {max_torque: 0.02 N*m}}"),
+        r"motor strength x 0.002 or torque limit of cart.wheels 0.02 N\*m",
+    ),
+    "torque limit": ("balancer", bot("actuators: {wheels: {max_torque: 0.0015 N*m}}"), r"torque limit of bot.wheels 0.0015 N\*m"),
+    "sensor late by a part of a timestep": (
+        "cartpole",
+        cart("sensors: {pole_angle: {latency: 70 ms}}"),
+        r"pole_angle is 3 steps late or latency from the robot \+96 ms or latency of the sensor cart.pole_angle \+96 ms",
+    ),
+    "late sensor between levels": (
+        "balancer",
+        bot("sensors: {gyro: {latency: 60 ms}}"),
+        r"latency of the sensor bot.gyro \+60 ms",
+    ),
+    "offset of a sensor": ("cartpole", cart("emit: {pole_angle: pole_angle + 0.7 deg}"), "cart.pole_angle is larger by 0.0122 rad"),
 }
 """Errors of a world: the scenario, its change, and what must be named first."""
+FEW = ["sign of a sensor", "amount between levels: mass"]
 
 
-@pytest.mark.parametrize("error", few(list(ERRORS), ["sign of a sensor", "friction", "halved gain of an action"]))
+@pytest.mark.parametrize("error", few(list(ERRORS), FEW))
 def test_an_error_is_named_first(run_of: Any, error: str) -> None:
     name, change, expected = ERRORS[error]
     found = compared(run_of(name), yaml.safe_load(change))
@@ -179,7 +226,8 @@ def test_the_command_compares_engines_and_is_a_gate(run_of: Any, capsys: pytest.
     assert {each["name"] for each in found["differences"]} >= {"cart.pole_angle", "x"}
     assert main(["transfer", path, "--quick", "--episodes", "2", "--min-return", "200"]) == 1
     shown = capsys.readouterr().out
-    assert re.match(r"works neither in pybullet nor in mujoco: mean return \S+ \(95 %: .*\) in pybullet, mean return", shown)
+    assert re.match(r"works neither in pybullet nor in mujoco: mean return \S+ and \S+, judged by 2 episodes\n", shown)
+    assert "CartPole in pybullet and in mujoco, 2 held-out starts" in shown
     assert "failed: pybullet: mean return" in shown
     assert "the changes are alternatives" in shown
     assert main(["transfer", path, "--quick", "--engine", "pybullet"]) == 2
@@ -192,7 +240,7 @@ def test_a_value_of_the_other_world_can_be_set_and_a_piped_output_holds_no_progr
     path = str(run_of("cartpole").path)
     assert main(["transfer", path, "--set", "world.ground.friction=0.5", "--quick", "--episodes", "2"]) == 0
     shown = capsys.readouterr()
-    assert "from CartPole to CartPole, changed (pybullet) (--set world.ground.friction=0.5)" in shown.out
+    assert "training and other, both CartPole in pybullet (other with --set world.ground.friction=0.5)" in shown.out
     assert "friction of the ground x 0.5" in shown.out
     assert shown.err == ""
 
@@ -215,3 +263,25 @@ def test_whether_a_policy_works_follows_from_the_requirements_or_from_solved() -
         "`solved` of the scenario (mean return >= 195 over 100 episodes)",
     )
     assert _works(names, results, [], None) == ((None, None), "")
+
+
+def test_two_worlds_in_one_engine_do_not_read_as_a_change_of_the_engine() -> None:
+    assert _names(("CartPole", "CartPoleReal"), ("mujoco", "mujoco"), True)[1] == "CartPole and CartPoleReal, both in mujoco"
+    assert _names(("CartPole", "CartPole"), ("mujoco", "mujoco"), True) == (
+        ("training", "other"),
+        "training and other, both CartPole in mujoco",
+    )
+    assert _names(("CartPole", "CartPole"), ("pybullet", "mujoco"), False) == (
+        ("pybullet", "mujoco"),
+        "CartPole in pybullet and in mujoco",
+    )
+
+
+def test_a_policy_that_works_in_both_worlds_with_half_the_return_has_a_much_lower_return() -> None:
+    from types import SimpleNamespace as Result
+
+    here: Any = Result(mean_return=39.7, return_interval=(39.0, 40.4))
+    there: Any = Result(mean_return=18.5, return_interval=(17.9, 19.1))
+    rest: Any = (None, None, (), (True, True), "")
+    assert Transfer(Path(), ("here", "there"), "", here, there, *rest).is_much_lower
+    assert not Transfer(Path(), ("here", "there"), "", here, here, *rest).is_much_lower

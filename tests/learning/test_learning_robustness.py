@@ -197,9 +197,9 @@ def test_the_verdict_says_up_to_where_it_is_sure() -> None:
 def test_half_the_mass_and_more_mass_are_two_sides_each_from_the_smallest_change_on() -> None:
     base = base_document(Source.open("cartpole"))
     assert base.root is not None
-    sides = {plan.name: plan.sides for plan in plans(base.root, api.compile("cartpole").program)}
-    for name in ("mass of cart.body", "friction of the ground"):
-        assert {side: [label for label, _ in levels] for side, levels in sides[name].items()} == {
+    planned = {plan.name: plan for plan in plans(base.root, api.compile("cartpole").program)}
+    for plan in (planned["mass of cart.body"], planned["friction of the ground"]):
+        assert {side: [plan.level(amount)[0] for amount in amounts] for side, amounts in plan.sides.items()} == {
             "smaller": ["x 0.75", "x 0.5"],
             "larger": ["x 1.25", "x 1.5", "x 2"],
         }

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from math import inf
 from pathlib import Path
 from shlex import quote
+from textwrap import fill
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -28,6 +29,10 @@ from deepbots_cli.rollout.source import Source, SourceKind
 if TYPE_CHECKING:
     from deepbots_cli.insight.transfer import Transfer
 
+WIDTH = 110
+"""The width of wrapped lines."""
+EXPLAINS_WHOLE = 0.9
+"""The share from which on a change explains the whole difference, apart from what grows of a small rest."""
 DEFAULT_EPISODES, QUICK_STEPS = 50, 2_000
 """Episodes of each evaluation, and the steps after which those of `--quick` end."""
 
@@ -84,8 +89,8 @@ def command(
     the scenario. Then the other world repeats episodes of the first one, with the same starts and actions.
     The table shows which numbers of the observation and which reward terms differ, and from which step on.
     Below it are changes of the first world that explain the difference: a wrong sign, unit or order, a
-    latency, a lag, a mass, a friction, a weaker motor, or another gain of an action. They are alternatives,
-    whose shares do not add up. Finally, the policy is evaluated under changed conditions, as by `deepbots
+    latency, a delay, a lag, a mass, a friction, a weaker motor, or another gain of an action, with the
+    amount. They are alternatives, whose shares do not add up. Finally, the policy is evaluated under changed conditions, as by `deepbots
     robustness`.
 
     With --min-success or --min-return, the exit code is 1 if the policy misses it in one of the two worlds, or at the first level of one
@@ -188,9 +193,9 @@ def _other_engine(name: str) -> str:
 
 def _lines(found: Transfer) -> list[str]:
     here, there = found.names
-    changed = f" ({' '.join(f'--set {quote(text)}' for text in found.there.set)})" if found.there.set else ""
+    changed = f" ({there} with {' '.join(f'--set {quote(text)}' for text in found.there.set)})" if found.there.set else ""
     starts = f"{found.here.episodes} held-out starts from seed {found.here.seed}"
-    lines = [_verdict(found), f"\ntransfer of {found.run}: from {here} to {there}{changed}, {starts}"]
+    lines = [*_verdict(found), f"\ntransfer of {found.run}: {found.between}{changed}, {starts}"]
     worlds = ((here, found.here), (there, found.there))
     lines.append(table([{"world": name, **records.scores(result)} for name, result in worlds]))
     compared = found.comparison
@@ -214,37 +219,49 @@ def _lines(found: Transfer) -> list[str]:
         lines.append("difference: root mean square over all steps, as a share of the width that the value spans")
     else:
         lines.append(f"\nthe same actions give the same values in both worlds ({size})")
+    tried = f"tried, one change at a time: {'; '.join(compared.tried)}"
     if compared.causes:
-        lines.append(f"\nchanges of {here} that explain the difference")
+        is_whole = compared.causes[0].explained >= EXPLAINS_WHOLE
+        partly = f"no change of {here} that was tried explains the whole difference; these explain part of it"
+        lines.append(f"\nchanges of {here} that explain the difference" if is_whole else f"\n{partly}")
         lines.append(table([{"change": cause.text, "explains": percent(cause.explained)} for cause in compared.causes[:5]]))
-        lines.append("explains: share of the squared differences that vanishes with this change alone; the changes are alternatives, whose")
-        lines.append("shares do not add up")
+        lines.append("explains: share of the squared differences that vanishes with this change alone, the mean of two shares: of all")
+        lines.append("moments, and of the early ones; the changes are alternatives, whose shares do not add up")
+        lines += [] if is_whole else [fill(tried, WIDTH)]
     elif compared.differences and not compared.observation_differs:
         lines.append("\nno number of the observation differs, so no cause can be found")
     elif compared.differences:
-        lines.append("\nno change that was tried explains it: order, sign, unit and age of numbers, order, sign and gain of actions,")
-        lines.append("latencies, time constants, weaker motors, and one mass (with its inertia) or friction at a time, x 0.5 to 2")
+        lines += [f"\nno change of {here} that was tried explains it", fill(tried, WIDTH)]
     if found.robustness is not None:
         lines += ["", records.robustness_text(found.robustness)]
     lines += [f"{'passed' if each.met else 'failed'}: {each.text}" for each in found.gates]
     return lines
 
 
-def _verdict(found: Transfer) -> str:
-    """In a line, whether the policy works in both worlds, and how often it succeeds."""
+def _verdict(found: Transfer) -> list[str]:
+    """Whether the policy works in both worlds, and how often it succeeds, in a line; and what working means."""
     one, other = found.works
-    here, there = found.names
-    measured = [records.success_or_return(result) for result in (found.here, found.there)]
-    shown = f"{measured[0]} in {here}, {measured[1]} in {there}"
+    is_lower = bool(one and other) and found.is_much_lower
+    is_rate = found.here.success_defined and not is_lower
+    worlds = [*zip(found.names, (found.here, found.there), strict=True)][:: -1 if other and not one else 1]
+    names = [name for name, _ in worlds]
+    scores = [percent(result.success_rate) if is_rate else number(result.mean_return) for _, result in worlds]
+    measure = "success rate " if is_rate else "mean return "
+    shown = f"{'' if is_lower else measure}{scores[0]} and {scores[1]}, judged by {found.here.episodes} episodes"
     if one is None or other is None:
-        return f"{shown}; whether it works is not defined: add --min-success RATE, or `solved` to the scenario"
-    if one and other:
+        return [
+            f"in {names[0]} and {names[1]}: {shown}",
+            "whether it works is not defined: add --min-success RATE, or `solved` to the scenario",
+        ]
+    if is_lower:
+        said = f"works in both worlds, but with a much lower mean return in {names[1]}"
+    elif one and other:
         said = "works in both worlds"
     elif one or other:
-        said = f"works in {here if one else there}, but not in {there if one else here}"
+        said = f"works in {names[0]}, but not in {names[1]}"
     else:
-        said = f"works neither in {here} nor in {there}"
-    return f"{said}: {shown} (required: {found.required})"
+        said = f"works neither in {names[0]} nor in {names[1]}"
+    return [f"{said}: {shown}", f"required: {found.required}"]
 
 
 def _data(found: Transfer) -> dict[str, Any]:
@@ -253,6 +270,7 @@ def _data(found: Transfer) -> dict[str, Any]:
         "worlds": [{"name": name, **to_json(result)} for name, result in zip(found.names, (found.here, found.there), strict=True)],
         "differences": [each._asdict() for each in found.comparison.differences],
         "causes": [each._asdict() for each in found.comparison.causes],
+        "tried": found.comparison.tried,
         "robustness": None if found.robustness is None else records.robustness_json(found.robustness),
         "gates": [each._asdict() for each in found.gates],
         "works": dict(zip(found.names, found.works, strict=True)),
