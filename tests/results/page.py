@@ -32,7 +32,7 @@ Trained policies beside those of the [paper](https://doi.org/10.1007/978-3-030-4
 ## Beside the paper
 """
 BESIDE = """\
-Over the trainings of all seeds. Solved: [new starts confirm it](judging.md); in the paper and in PitEscape, training episodes met it. The
+Over the trainings of all seeds. Solved: [new starts confirm it](judging.md); in the paper, training episodes met it. The
 page of each task lists its differences from the paper."""
 OTHERS = """\
 ## Other scenarios
