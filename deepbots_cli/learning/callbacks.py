@@ -545,7 +545,8 @@ class TrainingCallback:
                 )
             return
         assert statistics.solved is not None
-        plan = Confirmation.plan(statistics.solved, number, self._possible_returns())
+        assert self._evaluated is not None
+        plan = Confirmation.plan(statistics.solved, number, self._possible_returns(), self._evaluated.mean_return)
         if plan is None:
             if not self._refused_noted:
                 self._refused_noted = True

@@ -39,6 +39,10 @@ POWER = 0.5
 """The smallest probability that a confirmation passes at a success rate halfway from the required one to 100 %. With 100
 starts, the first confirmation of `>= 95 %` needs 99 successes and the second 100, so a policy of 97.5 % would pass with
 28 and 8 %. With 200 starts, it needs 194 and 195, and passes with 76 and 62 %."""
+EXPECTED = 0.25
+"""The smallest mean return for which the number of starts is chosen, as a share of the way from the required one to the
+highest return. With 100 starts for the highest return only, a policy of PitEscape with 0.91 where 0.89 is required failed
+by the worst returns that are added."""
 HOPELESS = 0.01
 """A confirmation ends if a policy halfway to 100 % would have so few successes with at most this probability, or if
 Student's upper bound of the mean return at this level is below the required one. So a confirmation that fails is short,
@@ -79,8 +83,8 @@ class Confirmation:
         solved: The criterion of the scenario.
         number: That of the confirmation, from 1.
         returns: The lowest and the highest return of an episode: the possible ones, or else those seen so far.
-        episodes: Number of new starts: as many as `solved` asks for, or the smallest multiple of it with which the best
-            possible result would pass, and half of the policies that are halfway from the required rate to 100 % too.
+        episodes: Number of new starts: as many as `solved` asks for, or the smallest multiple of it with which good policies
+            pass: half of those that are halfway from the required rate to 100 %, and a mean return as it is expected.
         successes: The successes that it needs; 0 where `solved` asks for no success rate.
     """
 
@@ -91,15 +95,28 @@ class Confirmation:
     successes: int
 
     @staticmethod
-    def plan(solved: Solved, number: int, returns: Interval) -> Confirmation | None:
-        """The next confirmation; None if no number of episodes up to 100 000 is enough."""
+    def plan(solved: Solved, number: int, returns: Interval, expected: float | None = None) -> Confirmation | None:
+        """The next confirmation; None if no number of episodes up to 100 000 is enough.
+
+        Args:
+            solved: The criterion of the scenario.
+            number: That of the confirmation, from 1.
+            returns: The lowest and the highest return of an episode.
+            expected: The mean return of the evaluation that met `solved`; the highest return where it is None. A mean return
+                below `EXPECTED` counts as if it were there.
+        """
+        if solved.mean_return is None:
+            mean = returns[1]
+        else:
+            least = solved.mean_return + EXPECTED * (returns[1] - solved.mean_return)
+            mean = min(returns[1], max(least, returns[1] if expected is None else expected))
         for episodes in range(solved.episodes, _MAX_EPISODES, solved.episodes):
             planned = Confirmation.by(solved, number, returns, episodes)
             if solved.success_rate is not None:
                 halfway = (1 + solved.success_rate) / 2
                 if probability_of_at_least(planned.successes, episodes, halfway) < POWER:
                     continue
-            if planned._return_passes([returns[1]] * episodes):
+            if planned._return_passes([mean] * episodes):
                 return planned
         return None
 
