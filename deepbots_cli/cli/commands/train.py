@@ -434,7 +434,10 @@ def _finish_group(group: GroupTraining, spread: Spread, *, quiet: bool, as_json:
         records.write_evaluation(Run.open(found.run), records.evaluation_json(found))
     path = quote(str(group.group))
     data: dict[str, Any] = {"training": vars(group), "evaluation": records.group_json(evaluation)}
-    unsolved = [found for found in evaluation.evaluations if found.solved is False or (found.solved is None and found.success_defined)]
+    verdicts = {found.run: run_verdict(found.run, RunRecord.read(found.run)).solved for found in evaluation.evaluations}
+    unsolved = [
+        found for found in evaluation.evaluations if verdicts[found.run] is False or (verdicts[found.run] is None and found.success_defined)
+    ]
     worst = min(unsolved, key=lambda found: (found.success_rate, found.mean_return), default=None)
     causes = [] if worst is None else _causes(worst.run, quiet=quiet, permissions=permissions)
     further = [f"deepbots eval {path} --csv {quote(f'{group.group.name}.csv')}", f"deepbots compare {path} OTHER_GROUP"]
