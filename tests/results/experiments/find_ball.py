@@ -2,8 +2,8 @@
 
 from tests.results.experiment import NEW_STARTS, RANDOM, Bar, Baseline, Beside, Experiment, Held, Mark, Solved, Training, seeds
 
-FRESH = (5201, 5202, 5203, 5204, 5205, 5206, 5207, 5208, 5209, 5218, 5219, 5220)
-"""Of 5201 to 5220, named before they were trained, those that are measured so far, from both ends.
+FRESH = seeds(20, first=5201)
+"""Named before they were trained.
 
 Seeds 1 to 4, 400 to 406, 5001 to 5003, 5101 to 5108, 7005 and 7010 to 7013 were used to choose the algorithm and when to confirm.
 """
@@ -15,13 +15,13 @@ EXPERIMENTS = (
         prose="Solved: 100 new starts confirm that at least 95 % of the episodes succeed, without exploration. The algorithm is TD3. "
         "With DDPG, the agent of the paper, one training in five fell apart, because its critic predicted more than followed; TD3 has "
         "two critics and takes the lower value. With SAC, two of six seeds succeeded in 20 of 20 starts of an evaluation again and "
-        "again, and in 75 to 96 % of new starts. Twenty seeds were named before the trainings, 5201 to 5220; eight are not measured yet.",
+        "again, and in 75 to 96 % of new starts.",
         trainings=(Training(FRESH, evaluations=(NEW_STARTS,)),),
         baselines=(RANDOM, Baseline("around the box", ("--driver", "around"))),
         bars=(
-            Bar(Solved("simulated_hours"), at_most=3),
+            Bar(Solved("simulated_hours"), at_most=3, misses=1),
             Bar(Solved("simulated_hours"), at_most=1, over="median"),
-            Bar(Held("success_rate"), at_least=0.97, over="median"),
+            Bar(Held("success_rate"), at_least=0.97),
             Bar(Solved("episode"), at_most=500, stretch=True),
         ),
         paper="The paper's agent, DDPG, had 500 episodes, about 3 simulated hours; its success rate is not given.",

@@ -1,6 +1,7 @@
 """The paper's second task: a ball rocks itself out of a pit."""
 
 from tests.results.experiment import (
+    NEW_STARTS,
     RANDOM,
     Bar,
     Baseline,
@@ -10,6 +11,7 @@ from tests.results.experiment import (
     Experiment,
     Held,
     Mark,
+    Solved,
     Trained,
     Training,
     Tried,
@@ -17,7 +19,7 @@ from tests.results.experiment import (
 )
 
 _ELSEWHERE = tuple(
-    Evaluation(name=name, scenario=f"tests/pits/pit_escape_{name}.yaml", words=words)
+    Evaluation(name=name, episodes=20, scenario=f"tests/pits/pit_escape_{name}.yaml", words=words)
     for name, words in (
         ("heightfield", "a pit from a picture of heights, with other lumps"),
         ("mesh", "a smooth pit of larger triangles"),
@@ -25,19 +27,23 @@ _ELSEWHERE = tuple(
     )
 )
 
-FRESH = (111, 112, 113, 114, 115)
-"""101 and 102 were trained in the deeper pit of before, and by them it was found wanting."""
+FRESH = seeds(20, first=5001)
+"""Named before they were trained."""
+
+LONG = seeds(5, first=111)
 
 EXPERIMENTS = (
     Experiment(
         scenario="pit_escape",
         title="PitEscape",
-        prose="Solved, before deepbots confirmed it on new starts: the mean return of 100 consecutive training episodes is at least 0.89. "
-        "Seeds 101 and 102 were trained in a pit "
-        "2.8 m high: 101 passed a mean of 0.8 after 2.98 h, 102 never. The pit was then made lower.",
+        prose="Solved: 100 or 200 new starts confirm a mean return of at least 0.89, without exploration. Three of the seeds failed their "
+        "first confirmation, with 0.908 on 100 starts, 0.889 on 200 and 0.877 on 40. A confirmation is as long as the whole training "
+        "before it, and the next one follows when it is a tenth of the training, so these seeds train for long; the policy of seed 5019 "
+        "is good at the end, but was not confirmed before. In a pit 2.8 m high, seed 101 passed a mean return of 0.8 after 2.98 h, and "
+        "seed 102 never; the pit is now 2.5 m high.",
         trainings=(
-            Training(FRESH, evaluations=(Evaluation(), *_ELSEWHERE)),
-            Training(FRESH, name="long", full=True, words="three simulated hours, whether solved or not"),
+            Training(FRESH, evaluations=(NEW_STARTS, *_ELSEWHERE)),
+            Training(LONG, name="long", full=True, words="three simulated hours, whether solved or not"),
         ),
         baselines=(
             RANDOM,
@@ -45,7 +51,9 @@ EXPERIMENTS = (
             Baseline("rocking", ("--driver", "rocking"), episodes=200),
         ),
         bars=(
-            Bar(Crossed(0.8, "simulated_hours"), at_most=1.3),
+            Bar(Solved("simulated_hours"), at_most=1),
+            Bar(Solved("simulated_hours"), at_most=0.7, over="median"),
+            Bar(Crossed(0.8, "simulated_hours", training="long"), at_most=1.3),
             Bar(Trained("cpu_seconds"), at_most=60),
             Bar(Held("mean_return"), at_least=0.89),
             Bar(Held("success_rate"), at_least=1),
@@ -61,7 +69,8 @@ EXPERIMENTS = (
         paper="The paper's agent, PPO with the same networks, passed a mean of 0.6 near episode 90 and 0.8 from about episode 150 on; "
         "its training took about 3 simulated hours (500 episodes).",
         beside=(
-            Beside("episodes until the mean return is 0.8", "about 150", Crossed(0.8, "episode")),
+            Beside("episodes until the mean return is 0.8", "about 150", Crossed(0.8, "episode", training="long")),
+            Beside("simulated hours until solved", "about 3, of the training", Solved("simulated_hours")),
             Beside("success, held out", "not given", Held("success_rate")),
         ),
         marks=(Mark("the paper: 0.8", value=0.8), Mark("the paper: 3 h", hours=3)),
