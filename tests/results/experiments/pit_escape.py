@@ -69,7 +69,6 @@ EXPERIMENTS = (
         paper="The paper's agent, PPO with the same networks, passed a mean of 0.6 near episode 90 and 0.8 from about episode 150 on; "
         "its training took about 3 simulated hours (500 episodes).",
         beside=(
-            Beside("episodes until the mean return is 0.8", "about 150", Crossed(0.8, "episode", training="long")),
             Beside("simulated hours until solved", "about 3, of the training", Solved("simulated_hours")),
             Beside("success, held out", "not given", Held("success_rate")),
         ),
