@@ -540,8 +540,8 @@ class TrainingCallback:
                 self._postponed = number
                 following = math.ceil(self._confirmation_steps / (self._off_policy_factor * COST_SHARE))
                 self.reporter.note(
-                    f"an evaluation meets `solved`; the next confirmation may follow after {following:,} steps, since those that "
-                    f"failed took {COST_SHARE * self._off_policy_factor:.0%} of the steps"
+                    f"an evaluation meets `solved`, but no confirmation begins before {following:,} steps: those that fail may take "
+                    f"at most {COST_SHARE * self._off_policy_factor:.0%} of the steps"
                 )
             return
         assert statistics.solved is not None

@@ -102,8 +102,8 @@ class Confirmation:
             solved: The criterion of the scenario.
             number: That of the confirmation, from 1.
             returns: The lowest and the highest return of an episode.
-            expected: The mean return of the evaluation that met `solved`; the highest return where it is None. A mean return
-                below `EXPECTED` counts as if it were there.
+            expected: The mean return of the evaluation that met `solved`; None stands for the highest return. The plan is for
+                a policy with this mean, or with that of `EXPECTED` if it is higher.
         """
         if solved.mean_return is None:
             mean = returns[1]
