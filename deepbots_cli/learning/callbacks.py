@@ -349,6 +349,8 @@ class TrainingCallback:
         )
 
     def restore(self, state: CallbackState) -> None:
+        if self._until_solved:  # a training that went on after its confirmation stops at the next one
+            self.statistics.solved_at = None
         self._next_check = state.next_beat
         self._confirmations, self._confirmation_steps = state.confirmations, state.confirmation_steps
         self._returns, self._evaluated_at = state.returns, state.evaluated_at

@@ -95,9 +95,7 @@ class Confirmation:
     successes: int
 
     @staticmethod
-    def plan(
-        solved: Solved, number: int, returns: Interval, evaluated: Sequence[Episode] = ()
-    ) -> Confirmation | None:
+    def plan(solved: Solved, number: int, returns: Interval, evaluated: Sequence[Episode] = ()) -> Confirmation | None:
         """The next confirmation; None if no number of episodes up to 100 000 is enough.
 
         Args:
