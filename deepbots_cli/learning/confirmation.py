@@ -28,6 +28,7 @@ from statistics import NormalDist, fmean, stdev
 from deepbots_cli.learning.episodes import Interval, meets_solved
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
+from deepbots_cli.scenario.fields import MAX_SOLVED_EPISODES
 
 FALSE_STOPS = 0.05
 """The largest probability that a training stops with a policy that is `MARGIN` or more below the required value."""
@@ -47,7 +48,7 @@ HOPELESS = 0.01
 """A confirmation ends if a policy halfway to 100 % would have so few successes with at most this probability, or if
 Student's upper bound of the mean return at this level is below the required one. So a confirmation that fails is short,
 and a later one fits into `COST_SHARE` earlier."""
-_MAX_EPISODES = 100_000
+_MAX_EPISODES = 10 * MAX_SOLVED_EPISODES
 
 
 def error_level(number: int) -> float:

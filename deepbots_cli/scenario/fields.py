@@ -809,6 +809,10 @@ def read_until(value: object) -> tuple[str, float, int | None] | None:
     return ("steps", float(match[1]), 1) if match else None
 
 
+MAX_SOLVED_EPISODES = 10_000
+"""Of `solved`: a confirmation plays at least as many new starts, and at most ten times as many."""
+
+
 class Until(FieldType):
     """When a stage of the curriculum is done."""
 
@@ -849,6 +853,12 @@ class Solved(Until):
     def has_form(self, value: object) -> bool:
         found = read_until(value)
         return found is not None and found[0] != "steps" and found[2] is not None
+
+    def check(self, value: Any) -> None:
+        super().check(value)
+        _, _, episodes = read_until(value) or ("", 0.0, None)
+        if episodes is not None:
+            check_bounds(episodes, 1, MAX_SOLVED_EPISODES)
 
     def help_for(self, value: object) -> str | None:
         metrics = [key for key in ("mean_return", "success_rate") if key in value] if isinstance(value, dict) else []

@@ -1,5 +1,6 @@
 """What is wrong with a scenario is said once, in our words, at the place where it is."""
 
+import re
 from collections.abc import Callable
 
 import pytest
@@ -185,6 +186,11 @@ def test_a_fault_in_a_list_of_stages_names_the_entry(check: Check, cartpole: str
 def test_a_stage_that_can_never_end_is_refused(check: Check, cartpole: str, until: str) -> None:
     _, findings = check(cartpole + f"curriculum:\n  - {{name: easy, until: {until}}}\n")
     assert [finding.code for finding in findings] == ["DB105"]
+
+
+def test_a_criterion_of_more_episodes_than_can_be_confirmed_is_refused(check: Check, cartpole: str) -> None:
+    _, findings = check(re.sub("^solved:.*", "solved: mean_return >= 195 over 100000 episodes", cartpole, flags=re.MULTILINE))
+    assert [(finding.code, finding.help) for finding in findings] == [("DB105", "write at most 10000")]
 
 
 def test_each_body_is_told_by_its_shape(check: Check, cartpole: str) -> None:

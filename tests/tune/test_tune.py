@@ -298,6 +298,7 @@ def test_where_no_trial_has_a_success_the_higher_return_is_the_best_and_apply_is
     assert "best: trial 1, score 1.5; 2 other trials have this score, and the success rate, then the return chose the best one" in text
     assert "not clearly better than the values of the scenario itself (trial 0, score 1.5)" in text
     assert "--apply" not in text
+    assert "deepbots train" not in text
 
 
 def test_of_equal_scores_the_success_rate_comes_before_the_return(file: Path, tmp_path: Path) -> None:
