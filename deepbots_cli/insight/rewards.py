@@ -72,7 +72,7 @@ def reward_exploited(t: TrainingEvidence) -> Numbers | None:
     if term and extra[term] > 0:
         named = f"'{term}'"
         paying = f" {named} pays most of the difference: {terms[term]:.3g} per episode, and {example.terms.get(term, 0.0):.3g}"
-        paying += f" in an episode of {example.name}."
+        paying += f" in {example.episode}."
     once = f"Let {named} pay once, or only for a change (`delta(...)`), or end the episode where it pays"
     if term and t.facts.is_progress(term):
         once = f"Scale {named} down"
@@ -94,9 +94,10 @@ def reward_exploited(t: TrainingEvidence) -> Numbers | None:
 
 
 class _Example(NamedTuple):
-    """Episodes that succeed, or mostly, with which the policy is compared: what to call them, and their mean reward terms."""
+    """Episodes that succeed, or mostly, with which the policy is compared: what to call them and one, and their mean reward terms."""
 
     name: str
+    episode: str
     returns: Sequence[float]
     successes: Sequence[float]
     terms: dict[str, float]
@@ -119,13 +120,14 @@ def _examples(t: TrainingEvidence) -> list[_Example]:
         traces = t.scripts[best]
         terms = {name: fmean(float(np.nansum(trace.terms[name])) for trace in traces) for name in names}
         returns = [trace.returns for trace in traces]
-        examples.append(_Example(f"the script '{best}'", returns, successes(best), terms, is_script=True))
+        name = f"the script '{best}'"
+        examples.append(_Example(name, f"an episode of {name}", returns, successes(best), terms, is_script=True))
     succeeded = [episode for episode in t.final_episodes if episode.is_success] if t.is_last_stage else []
     if len(succeeded) >= max(MIN_EPISODES, len(t.final_episodes) / 2):
         terms = {name: fmean(episode.terms.get(name, 0.0) for episode in succeeded) for name in names}
         returns = [episode.total_return for episode in succeeded]
         name = "the successful episodes of the evaluation"
-        examples.append(_Example(name, returns, [1.0] * len(returns), terms, is_script=False))
+        examples.append(_Example(name, "a successful one", returns, [1.0] * len(returns), terms, is_script=False))
     return examples
 
 
