@@ -5,6 +5,8 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 EDITORS := build/editors
+# deepbots-cli, and deepbots-robot, which no package index has: both are installed from this clone, in one command.
+PROJECTS := pyproject.toml deepbots_robot/pyproject.toml
 # `worksteal` keeps tests of a module together, so that what they share is made once.
 PYTEST := $(BIN)/pytest -n 2 --dist worksteal
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-input
@@ -61,7 +63,7 @@ results: dev ## the pages of results and the benchmark: what is missing or stale
 	$(BIN)/python -m tests.results $(SCENARIO) $(PART) $(OPTIONS)
 
 .PHONY: package
-package: dev ## sdist and wheel, used in a new environment; downloads nothing
+package: dev ## sdists and wheels, used in new environments; downloads nothing
 	$(BIN)/python -m tests.packaging.clean
 
 .PHONY: docs
@@ -71,7 +73,7 @@ docs: $(VENV)/ready-for-docs ## the site in build/docs; a warning of Sphinx is a
 .PHONY: clean
 clean: ## remove .venv and what tools leave behind; runs stay
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
-	find deepbots_cli tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	find deepbots_cli deepbots_robot tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV)/made:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null || \
@@ -81,24 +83,24 @@ $(VENV)/made:
 	$(PYTHON) -m venv $(VENV)
 	@touch $@
 
-$(VENV)/ready-to-train: pyproject.toml | $(VENV)/made
+$(VENV)/ready-to-train: $(PROJECTS) | $(VENV)/made
 	@echo "installing what training needs; this takes a few minutes the first time"
-	@$(PIP) -e '.[train]'
+	@$(PIP) -e ./deepbots_robot -e '.[train]'
 	@touch $@
 
-$(VENV)/ready-to-view: pyproject.toml | $(VENV)/made
+$(VENV)/ready-to-view: $(PROJECTS) | $(VENV)/made
 	@echo "installing what the page in the browser needs; this takes a few minutes the first time"
-	@$(PIP) -e '.[view]'
+	@$(PIP) -e ./deepbots_robot -e '.[view]'
 	@touch $@
 
-$(VENV)/ready-for-docs: pyproject.toml | $(VENV)/made
+$(VENV)/ready-for-docs: $(PROJECTS) | $(VENV)/made
 	@echo "installing what the site needs; this takes a few minutes the first time"
-	@$(PIP) -e '.[docs]'
+	@$(PIP) -e ./deepbots_robot -e '.[docs]'
 	@touch $@
 
-$(VENV)/ready-to-develop: pyproject.toml | $(VENV)/made
+$(VENV)/ready-to-develop: $(PROJECTS) | $(VENV)/made
 	@echo "installing what tests and checks need; this takes a few minutes the first time"
-	@$(PIP) -e '.[dev]'
+	@$(PIP) -e ./deepbots_robot -e '.[dev]'
 	@touch $(VENV)/ready-to-train $(VENV)/ready-for-docs $@
 
 $(EDITORS)/installed: tests/editors/package.json

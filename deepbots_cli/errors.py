@@ -71,7 +71,13 @@ class MissingExtraError(UsageError):
 
 def extra_with(module: str) -> str | None:
     """The smallest extra that requires the package of a module, by the metadata of the installation; None if there is none."""
-    import re  # imported only for this message
+    packages = _packages_by_extra()
+    fitting = [extra for extra, names in packages.items() if module.lower() in names]
+    return min(fitting, key=lambda extra: len(packages[extra]), default=None)
+
+
+def _packages_by_extra() -> dict[str, list[str]]:
+    import re  # imported only for messages
     from importlib.metadata import PackageNotFoundError, requires
 
     packages: dict[str, list[str]] = {}
@@ -79,13 +85,19 @@ def extra_with(module: str) -> str | None:
         for requirement in requires("deepbots-cli") or ():
             if found := re.match(r"([\w.-]+).*\bextra == .([\w-]+)", requirement):
                 packages.setdefault(found[2], []).append(found[1].lower().replace("-", "_"))
-    fitting = [extra for extra, names in packages.items() if module.lower() in names]
-    return min(fitting, key=lambda extra: len(packages[extra]), default=None)
+    return packages
 
 
 def install_hint(extra: str, origin: str | None = None) -> str:
-    """How to install an extra from `origin`, by default the place that deepbots was installed from."""
-    return f"install it with: pip install '{origin or install_source()}[{extra}]'"
+    """How to install an extra from `origin`, by default the place that deepbots was installed from.
+
+    From a clone, deepbots-robot is installed in the same command if the extra needs it: no package index has it.
+    """
+    origin = origin or install_source()
+    wanted = [f"'{origin}[{extra}]'"]
+    if origin != "deepbots-cli" and "deepbots_robot" in _packages_by_extra().get(extra, ()):
+        wanted.insert(0, f"'{origin}/deepbots_robot'")
+    return f"install it with: pip install {' '.join(wanted)}"
 
 
 def install_source() -> str:

@@ -87,7 +87,11 @@ class Transport:
             raise ServeError("pillow, which reads compressed images, is not installed; install it with: pip install pillow")
         if self.ros1:
             return self._ros1(receives, sends, robot=robot, about=about)
-        package = "pyzmq" if self.zmq is not None else "websockets" if self.websocket is not None else "cyclonedds"
+        package, extra = "cyclonedds", "ros"
+        if self.zmq is not None:
+            package, extra = "pyzmq", "zmq"
+        elif self.websocket is not None:
+            package, extra = "websockets", "websocket"
         fields = [field for field, _ in receives], [field for field, _ in sends]
         try:
             if self.zmq is not None:
@@ -102,7 +106,8 @@ class Transport:
 
             return RosLink(receives, sends, robot=robot, interface=self.interface, domain=self.domain, about=about)
         except ModuleNotFoundError as error:
-            raise ServeError(f"{package} is not installed, or lacks {error.name}; install it with: pip install {package}") from None
+            hint = f'install it with: pip install "deepbots-robot[{extra}]"'
+            raise ServeError(f"{package} is not installed, or lacks {error.name}; {hint}") from None
         except ValueError as error:
             raise ServeError(str(error)) from None
 
@@ -272,7 +277,7 @@ def _opened(path: Path | None, bundle: Bundle) -> LogWriter | None:
         about = {"scenario": bundle.info.scenario.name, "digest": bundle.info.scenario.digest}
         return LogWriter(path, about, files=bundle.description())
     except ModuleNotFoundError as error:
-        raise ServeError(f"{error.name} is not installed; install it with: pip install {error.name}") from None
+        raise ServeError(f'--log needs {error.name}, which is not installed; install it with: pip install "deepbots-robot[log]"') from None
     except FileExistsError:
         raise ServeError(f"{path} exists already; name another file for the log") from None
     except OSError as error:

@@ -123,7 +123,9 @@ def verify(description: bytes, content: bytes, trusted: Sequence[str]) -> None:
         from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
         from cryptography.hazmat.primitives.serialization import load_ssh_public_key
     except ModuleNotFoundError as error:
-        raise BundleError("checking a signature needs the package cryptography: pip install cryptography") from error
+        raise BundleError(
+            'checking a signature needs cryptography, which is not installed; install it with: pip install "deepbots-robot[sign]"'
+        ) from error
     try:
         signed = msgspec.json.decode(content, type=Signature)
         signature = base64.b64decode(signed.signature, validate=True)
@@ -152,7 +154,9 @@ def _private_key_class() -> type[Ed25519PrivateKey]:
     try:
         from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     except ModuleNotFoundError as error:
-        raise KeyFileError("signing needs the package cryptography: pip install cryptography") from error
+        raise KeyFileError(
+            'signing needs cryptography, which is not installed; install it with: pip install "deepbots-robot[sign]"'
+        ) from error
     return Ed25519PrivateKey
 
 

@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from deepbots_cli.compiler.namespace import Namespace
+from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.program import Program
-from deepbots_cli.program.topics import command_fields, mapping, reading_fields, sensor_fields
-from deepbots_robot.topics import Field, Topic, conflicts, part_of
+
+if TYPE_CHECKING:
+    from deepbots_robot.topics import Field, Topic
 
 
 def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
-    """The topics that the scenario gives, by sensor, reading and actuator; findings for those that do not fit."""
+    """The topics that the scenario gives, by sensor, reading and actuator; findings for those that do not fit.
+
+    Raises:
+        MissingExtraError: The scenario has a section `ros`, and deepbots-robot, which has the messages, is not installed.
+    """
     values, spec = namespace.values, namespace.scenario
     if not spec.ros:
         return {}
+    try:
+        from deepbots_cli.program.topics import command_fields, mapping, reading_fields, sensor_fields
+        from deepbots_robot.topics import Topic, conflicts, part_of
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("robot", "the section `ros`") from error
     sensors = {field.name: field for field in (*reading_fields(program), *sensor_fields(program))}
     fields = {**{field.name: field for field in command_fields(program)}, **sensors}
     found: dict[str, tuple[Field, Topic]] = {}

@@ -27,7 +27,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.engine_kinds import DEFAULT_ENGINE
@@ -39,7 +39,9 @@ from deepbots_cli.program.robots import Direction, Robot, Timing
 from deepbots_cli.program.task import Agent, Choices, Criterion, Evaluation, ScenarioTest, Script, Truncation
 from deepbots_cli.program.values import Expression, Foreign, NamedScalars
 from deepbots_cli.program.world import WorldModel
-from deepbots_robot.topics import Topic
+
+if TYPE_CHECKING:
+    from deepbots_robot.topics import Topic
 
 
 @dataclass(frozen=True, eq=False)

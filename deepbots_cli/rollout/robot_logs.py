@@ -69,13 +69,13 @@ class RobotLog:
 
         Raises:
             RecordingError: It cannot be read, has no step, or no scenario; says why in one sentence.
-            MissingExtraError: mcap is not installed.
+            MissingExtraError: deepbots-robot or mcap is not installed.
         """
         try:
             from deepbots_robot.log import read_attached, read_log
             from deepbots_robot.model import BundleError, decode
         except ModuleNotFoundError as error:
-            raise MissingExtraError("sim", "the log of a robot") from error
+            raise MissingExtraError("robot", "the log of a robot") from error
         try:
             files = read_attached(path)
             description = files.pop("bundle.json", None)

@@ -45,7 +45,6 @@ from deepbots_cli.scenario.search import SearchField
 from deepbots_cli.scenario.sensors import AnySensor
 from deepbots_cli.scenario.training import AnyTraining
 from deepbots_cli.scenario.world import AnyObject, Pose, World
-from deepbots_robot.topics import PARTS
 
 # Robots and messages
 
@@ -157,6 +156,20 @@ class Messages(Section):
 
 # Task
 
+ROS_TYPES = (
+    "sensor_msgs/JointState",
+    "sensor_msgs/LaserScan",
+    "sensor_msgs/Range",
+    "sensor_msgs/Imu",
+    "sensor_msgs/Image",
+    "sensor_msgs/CompressedImage",
+    "geometry_msgs/Twist",
+    "geometry_msgs/PoseStamped",
+    "geometry_msgs/WrenchStamped",
+    "nav_msgs/Odometry",
+    "std_msgs/Float64MultiArray",
+)
+"""The types that `PARTS` of `deepbots_robot.topics` describes: the language has them also where deepbots-robot is not installed."""
 ROS_TOPIC = Text("a topic of ROS 2", r"/[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*", "/joint_states")
 PYTHON_PATH = Text("a function as `package.module:function`", r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", "package.module:function")
 Choice = Annotated[Scalar, Quantity("any")]
@@ -393,7 +406,7 @@ class RosTopic(Section):
 
     topic: Annotated[str, ROS_TOPIC]
     """Name of the topic, such as `/joint_states`."""
-    type: Annotated[str, Word(PARTS)]
+    type: Annotated[str, Word(ROS_TYPES)]
     """Type of its messages. The message must have a part with the unit and the number of values of the sensor, reading or actuator."""
     part: PlainText | None = None
     """Part of the message, such as `velocity` or `linear.x`. Default: the part whose unit and number of values fit."""

@@ -41,3 +41,8 @@ def test_an_extra_is_installed_from_the_clone_that_deepbots_came_from_and_from_n
             (clone / "pyproject.toml").touch()
         said = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
         assert said == f"install it with: pip install '{origin}[sim]'\n"
+    needed = "Provides-Extra: export\nRequires-Dist: deepbots-robot==0.1.0; extra == 'export'\n"
+    (known / "METADATA").write_text(f"Metadata-Version: 2.1\nName: deepbots-cli\nVersion: 0.1.0\n{needed}")
+    command[-1] = command[-1].replace("sim", "export")
+    said = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+    assert said == f"install it with: pip install '{clone}/deepbots_robot' '{clone}[export]'\n"

@@ -23,7 +23,9 @@ def test_without_a_python_that_fits_make_says_so_in_one_sentence_and_begins_noth
     for name in pythons:
         (tools / name).write_text(OTHER_PYTHON)
         (tools / name).chmod(0o755)
-    (tmp_path / "pyproject.toml").write_text("")
+    (tmp_path / "deepbots_robot").mkdir()
+    for project in (".", "deepbots_robot"):
+        (tmp_path / project / "pyproject.toml").write_text("")
     make = shutil.which("make")
     assert make is not None
     command = [make, "-f", str(ROOT / "Makefile"), "train"]

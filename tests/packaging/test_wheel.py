@@ -95,7 +95,7 @@ def test_a_copied_scenario_runs_from_the_folder_it_was_copied_to(installed: Path
 
 
 @pytest.mark.slow
-def test_the_wheel_of_the_sdist_trains_in_a_new_environment() -> None:
+def test_the_wheels_of_the_sdists_train_and_serve_in_new_environments() -> None:
     clean.main()
 
 
@@ -123,9 +123,13 @@ def test_importing_the_package_loads_nothing_heavy(installed: Path, tmp_path: Pa
 
 
 def test_notices_name_every_package_that_is_installed_and_the_citation_is_of_this_version() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    extras = {extra: names for extra, names in project["optional-dependencies"].items() if extra not in ("dev", "docs")}
-    needed = {re.match(r"[\w.-]+", text)[0] for names in (project["dependencies"], *extras.values()) for text in names} - {"deepbots-cli"}
+    projects = [tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"] for folder in clean.PROJECTS.values()]
+    project = projects[0]
+    required = [text for each in projects for text in each["dependencies"]]
+    for each in projects:
+        extras = each["optional-dependencies"].items()
+        required += [text for extra, texts in extras for text in texts if extra not in ("dev", "docs")]
+    needed = {re.match(r"[\w.-]+", text)[0] for text in required} - set(clean.PROJECTS)
     rows = re.findall(r"^\| ([a-z][^|]*) \|", (ROOT / "NOTICES.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert {name.strip() for row in rows for name in row.split(",")} - {"package"} == needed
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))

@@ -22,11 +22,9 @@ from deepbots_cli.document import MappingNode, Permissions, shipped
 from deepbots_cli.document.load import with_settings_at
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError
 from deepbots_cli.program import Program
-from deepbots_cli.program.topics import command_fields, mapping, sensor_fields
-from deepbots_robot.topics import Topic
 
 if TYPE_CHECKING:
-    pass
+    from deepbots_robot.topics import Topic
 
 _CAPTIONS = {
     "observation": "low .. high is mapped to the range in `seen_as`; values outside are clipped",
@@ -83,9 +81,8 @@ def command(
     terminal.note_warnings(side.findings, scenario)
     program = side.program.variant(case, stage)
     if ros:
-        needed = {*Deployment(program).unmeasured, *(field.name for field in (*sensor_fields(program), *command_fields(program)))}
-        found = {name: topic for name, topic in mapping(program).items() if name in needed}
-        terminal.show(found, _ros_text(found), as_json=as_json)
+        topics = _topics(program)
+        terminal.show(topics, _ros_text(topics), as_json=as_json)
         return
     root = side.root if isinstance(side.root, MappingNode) else MappingNode(Span(Source(scenario, ""), 0, 0), {})
     if case is not None:
@@ -99,6 +96,16 @@ def command(
     terminal.show(tables, *_lines(shown), as_json=as_json)
     if len(shown) < len(tables) and not as_json:
         terminal.note(f"--full also shows: {', '.join(name.replace('_', ' ') for name in tables if name not in shown)}")
+
+
+def _topics(program: Program) -> dict[str, Topic]:
+    """The topic of each sensor, of each command, and of each reading of the world that the policy needs and no robot measures."""
+    try:
+        from deepbots_cli.program.topics import command_fields, mapping, sensor_fields
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("robot", "--ros") from error
+    needed = {*Deployment(program).unmeasured, *(field.name for field in (*sensor_fields(program), *command_fields(program)))}
+    return {name: topic for name, topic in mapping(program).items() if name in needed}
 
 
 def _ros_text(topics: Mapping[str, Topic]) -> str:

@@ -7,7 +7,7 @@ import platform
 import re
 import sys
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from importlib.metadata import PackageNotFoundError, requires, version
 from itertools import islice
 from typing import Literal, NamedTuple
@@ -126,8 +126,22 @@ def _requirements() -> dict[str, list[str]]:
         extra = re.search(r"extra == .([\w-]+)", requirement)
         name = re.match(r"[\w.-]+", requirement)
         if name and _is_for_this_machine(requirement) and (extra is None or extra[1] in _EXTRAS):
-            found[extra[1] if extra else ""].append(name[0])
+            found[extra[1] if extra else ""] += [name[0], *_packages_of_robot(requirement)]
     return found
+
+
+def _packages_of_robot(requirement: str) -> Iterator[str]:
+    """The packages that a requirement of deepbots-robot adds, such as `deepbots-robot[log,zmq]`; none of other packages."""
+    robot = re.match(r"deepbots-robot(?:\[([\w,-]+)\])?", requirement)
+    if robot is None:
+        return
+    extras = (robot[1] or "").split(",")
+    with suppress(PackageNotFoundError):
+        for inner in requires("deepbots-robot") or ():
+            extra = re.search(r"extra == .([\w-]+)", inner)
+            name = re.match(r"[\w.-]+", inner)
+            if name and (extra is None or extra[1] in extras):
+                yield name[0]
 
 
 def _is_for_this_machine(requirement: str) -> bool:
