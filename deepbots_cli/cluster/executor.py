@@ -35,7 +35,10 @@ class WorkerLost(Exception):  # noqa: N818  # a state, which never reaches the u
 
 
 class News(NamedTuple):
-    """What calls have sent since the last question, by the numbers of their items; `begun` has all that have begun, None if nobody answered."""
+    """What calls have sent since the last question, by the numbers of their items.
+
+    `begun` has all calls that have begun; it is None if nobody answered.
+    """
 
     reports: Mapping[int, object]
     notes: Sequence[tuple[int, str]]
