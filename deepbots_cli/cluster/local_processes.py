@@ -62,10 +62,12 @@ class Worker:
         threading.Thread(target=self._receive, daemon=True).start()
 
     def _receive(self) -> None:
-        with cast(IO[bytes], self._process.stdout) as source, suppress(EOFError, OSError, pickle.UnpicklingError):
-            while True:
-                self._inbox.put((self, pickle.load(source)))
-        self._inbox.put((self, None))
+        try:
+            with cast(IO[bytes], self._process.stdout) as source, suppress(EOFError, OSError, pickle.UnpicklingError):
+                while True:
+                    self._inbox.put((self, pickle.load(source)))
+        finally:
+            self._inbox.put((self, None))
 
     def send(self, message: bytes | None) -> None:
         with suppress(OSError):  # the process was lost, which the thread reports

@@ -70,7 +70,7 @@ def _main() -> None:
         try:
             function, arguments = pickle.loads(content)
             parent.send("answer", function(parent, *arguments))
-        except BaseException as error:  # noqa: BLE001  # raised in the parent
+        except Exception as error:  # noqa: BLE001  # raised in the parent
             parent.send("error", _passable(error))
 
 
@@ -86,7 +86,7 @@ def _receive(source: IO[bytes], calls: SimpleQueue[bytes]) -> None:
         os._exit(0)
 
 
-def _passable(error: BaseException) -> BaseException:
+def _passable(error: Exception) -> Exception:
     """An error that can be pickled, with its traceback in a note."""
     text = "".join(traceback.format_exception(error))
     try:

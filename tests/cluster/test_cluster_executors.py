@@ -15,7 +15,7 @@ from test_cluster_fleet import act_at, outcomes
 from test_cluster_shards import At, trained, workers
 
 from deepbots_cli import api
-from deepbots_cli.cli import main
+from deepbots_cli.cli import main, processes
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning import train_group
@@ -136,11 +136,12 @@ def test_workers_run_without_ray(
     assert "error: --cluster needs the 'cluster' extra" in capsys.readouterr().err
 
 
-def test_more_workers_than_cores_are_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("deepbots_cli.cli.processes.available_cores", lambda: 1)
-    assert main(["test", "cartpole", "find_ball", "--workers", "2"]) == 0
-    assert "2 workers share 1 core; more workers than cores are not faster" in capsys.readouterr().err
+def test_more_workers_than_cores_are_noted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(processes, "available_cores", lambda: 1)
+    with processes.cluster(2, None, quiet=False) as found:
+        assert found is not None
+        assert found.workers == 2
+    assert capsys.readouterr().err == "2 workers share 1 core; more workers than cores are not faster\n"
 
 
 def test_a_killed_worker_is_replaced_and_its_training_has_the_same_weights(
