@@ -132,7 +132,7 @@ class LocalProcesses:
         kind, value = owed.result or ("lost", "it has not answered")
         if kind == "lost":
             raise WorkerLost(value)
-        if kind == "error":
+        if kind == "error" and isinstance(value, Exception):
             raise value
         return value
 

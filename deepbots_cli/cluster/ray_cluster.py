@@ -29,13 +29,6 @@ _ADDRESS_TIMEOUT_S = 5.0
 _EXCHANGE_INTERVAL_S = 0.3
 _EXCHANGE_TIMEOUT_S = 10.0
 _SILENT: Mapping[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
-_SETTINGS = {
-    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # workers see the GPU as before
-    "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",
-    "RAY_OBJECT_STORE_ALLOW_SLOW_STORAGE": "1",  # in a container with a small /dev/shm
-    "RAY_USAGE_STATS_ENABLED": "0",
-    "RAY_worker_niceness": "0",  # workers have the priority of this process; by default they come after all others
-}
 _WITNESS = """
 import sys
 last = sys.stdin.read().splitlines()[-1]
@@ -61,7 +54,6 @@ class RayCluster:
         if ray.is_initialized():
             raise UsageError("this process uses a Ray cluster already; end it with ray.shutdown()")
         with ExitStack() as stack:
-            stack.enter_context(_environment(_SETTINGS))
             self._set_last_words = stack.enter_context(_last_words())
             with _termination_handler_kept():
                 self._join(stack)
@@ -323,29 +315,6 @@ def _check_address(address: str) -> None:
         socket.create_connection((host.strip("[]"), int(port)), _ADDRESS_TIMEOUT_S).close()
     except OSError as error:
         raise UsageError(f"nobody answers at {address} ({error.strerror or error}); is the cluster running?") from error
-
-
-@contextmanager
-def _environment(settings: Mapping[str, str]) -> Iterator[None]:
-    """Within, these variables of the environment are set. Ray reads those of its configuration again before and after."""
-    from ray._raylet import AuthenticationTokenLoader, Config
-
-    def read_again() -> None:
-        Config.initialize("")
-        AuthenticationTokenLoader.instance().reset_cache()
-
-    before = {name: os.environ.get(name) for name in settings}
-    os.environ.update(settings)
-    read_again()
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-        read_again()
 
 
 @contextmanager

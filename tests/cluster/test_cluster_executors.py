@@ -38,8 +38,7 @@ def test_results_and_errors_come_in_the_order_of_the_items(either: Cluster) -> N
     assert (squares, str(error), last) == ([0, 1, 4], "there is no square of 3", 16)
 
 
-def test_workers_have_our_priority_and_leave_us_our_handler_of_sigterm(either: Cluster) -> None:
-    assert list(either.map(priority, [0])) == [os.nice(0)]
+def test_workers_leave_us_our_handler_of_sigterm(either: Cluster) -> None:
     assert "ray" not in str(getattr(signal.getsignal(signal.SIGTERM), "__module__", ""))
 
 
@@ -134,6 +133,10 @@ def test_workers_run_without_ray(
     capsys.readouterr()
     assert main(["test", "cartpole", "find_ball", "--cluster", "auto"]) == 2
     assert "error: --cluster needs the 'cluster' extra" in capsys.readouterr().err
+
+
+def test_workers_have_our_priority(cluster: Cluster) -> None:
+    assert list(cluster.map(priority, [0])) == [os.nice(0)]
 
 
 def test_more_workers_than_cores_are_noted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
