@@ -54,6 +54,14 @@ def whole_number(minimum: int = 1, maximum: int | None = None) -> Callable[[str 
     return parse
 
 
+def _workers(text: str | int) -> int:
+    """The parser of `--workers`."""
+    number = whole_number(-(10**9), 1024)(text)
+    if number < 1:
+        raise UsageError(f"--workers {text} starts no process; write --workers 1 or more, or leave it out to work in this process")
+    return number
+
+
 ADVANCED = "Advanced"
 """The group of options that few need, and of those that are dangerous; it is the last in the help."""
 EPISODES, SCENARIO, OUTPUT = "Episodes", "Scenario", "Output"
@@ -209,7 +217,7 @@ Engine = Annotated[
         callback=known_engine,
     ),
 ]
-Workers = Annotated[int | None, integer("--workers N", "Use N processes of this machine.", 1, 1024, ADVANCED)]
+Workers = Annotated[int | None, option("--workers N", "Use N processes of this machine.", ADVANCED, parser=_workers)]
 ClusterAddress = Annotated[
     str | None,
     option("--cluster ADDRESS", "Use the Ray cluster at HOST:PORT, or with `auto` the one of this machine.", ADVANCED),

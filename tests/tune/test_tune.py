@@ -97,16 +97,15 @@ def test_a_study_whose_driver_was_killed_continues_to_the_same_trials(file: Path
 
 @pytest.mark.slow
 def test_trials_on_workers_give_the_same_after_a_worker_was_killed(file: Path, whole: Study, tmp_path: Path) -> None:
-    pytest.importorskip("ray")
     from deepbots_cli.cluster import Cluster
-    from tests.cluster.test_cluster_shards import children
+    from tests.cluster.test_cluster_shards import workers as pids
 
     killed: list[int] = []
 
     class Killer(StudyReporter):
         def update(self, number: int, progress: TrialProgress) -> None:
             if not killed:
-                os.kill(children("ray::perform")[0], signal.SIGKILL)
+                os.kill(pids()[0], signal.SIGKILL)
                 killed.append(number)
 
     study = made(file, tmp_path / "workers", prune=False)

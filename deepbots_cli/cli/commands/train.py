@@ -178,8 +178,8 @@ def command(
     the last steps in another one. `--shards auto` trains for a few seconds with 1, 2, 4, ... shards, on a worker for each core by default.
     It chooses the fastest number, or 1 if no other is at least 1.1 times as fast.
 
-    --seeds trains a group: one folder with a run for each seed. The trainings run one after the other, or with --workers N, N at a time,
-    each in a process of its own; the runs are the same. If a process is lost, another one resumes its training. --resume of a group skips
+    --seeds trains a group: one folder with a run for each seed. The trainings run one after the other, or with --workers N, N at a time
+    in N processes; the runs are the same. If a process is lost, another one resumes its training. --resume of a group skips
     finished seeds.
 
     --retry N trains an unsolved task up to N times again: a group of runs try-1, try-2, ... with the same seed. Each changes a value under
@@ -302,6 +302,7 @@ def _checked_workers(
     elif training is not None:
         reason = "the training has one shard; add --shards N, or --seeds for several trainings"
         processes.check_dividable(workers, address, training.shards, reason)
+        return None if workers is None else min(workers, training.shards)
     return workers
 
 
