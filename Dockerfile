@@ -13,7 +13,7 @@ ENV PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1 PYTHONUNBUFFERED=1
 WORKDIR /deepbots
 COPY . .
 RUN if [ -n "$TORCH_INDEX" ]; then pip install --index-url "$TORCH_INDEX" torch==2.13.0; fi \
-    && pip install "/deepbots[contrib,train,tune]" \
+    && pip install ./deepbots_robot "/deepbots[contrib,export,tune]" \
     && mkdir /work \
     && chown 1000:1000 /work
 
