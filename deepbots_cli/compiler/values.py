@@ -30,8 +30,9 @@ from deepbots_cli.expressions.types import (
 from deepbots_cli.expressions.unification import expect_kind, expect_range, expect_value
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.scenario.base import Section, section_fields
-from deepbots_cli.scenario.fields import FieldType, Quantity, choices_help, word_for_foreign_name
-from deepbots_cli.scenario.validate import replacement_for
+from deepbots_cli.scenario.fields import FieldType, Quantity, choices_help
+from deepbots_cli.scenario.keys import replacement_for
+from deepbots_cli.scenario.synonyms import word_for
 
 _HIDDEN = re.compile(r"[ \t]+(#[^\n]*\))")
 """The comment behind a value on its line, where it holds a closing parenthesis."""
@@ -269,7 +270,7 @@ class ValueReader:
     def _word_replacement(text: SourceText, piece: str) -> str | None:
         """The probable word for an unknown name, if the field takes words beside numbers."""
         words = text.kind.words if isinstance(text.kind, Quantity) and piece == text.text.strip() else ()
-        return word_for_foreign_name(piece, words) or nearest_word(piece, words) if words else None
+        return word_for(piece, words) or nearest_word(piece, words) if words else None
 
     def parsed(self, text: SourceText) -> syntax.Node | None:
         return parser.parse(text.text, self.report(text))

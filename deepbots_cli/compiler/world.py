@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path as FilePath
@@ -382,7 +383,7 @@ def _usual_mass(made: Shape, thing: world_spec.Material, namespace: Namespace, *
 
 
 # Seconds: a timestep beyond the outer two cannot be run, one beyond the inner two is hardly meant.
-_MIN_TIMESTEP_S, _SHORT_TIMESTEP_S, _LONG_TIMESTEP_S, _MAX_TIMESTEP_S = 1e-6, 1e-4, 1.0, 60.0
+_MIN_TIMESTEP_S, _SHORT_TIMESTEP_S, _LONG_TIMESTEP_S, _MAX_TIMESTEP_S = 1e-6, 1e-4, 1.0, 10.0
 
 
 def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line, ...]) -> WorldModel:
@@ -431,8 +432,10 @@ def _check_timestep(timestep: float, spec: world_spec.World, namespace: Namespac
         else "DB105"
     )
     if code:
-        span = namespace.values.field(spec, "timestep").span
-        namespace.values.add(code, span, f"the timestep is {timestep:g} s", "write a timestep of 10 to 100 ms, which is usual")
+        text = namespace.values.field(spec, "timestep")
+        written = re.fullmatch(r"\s*([0-9.]+)\s*s\s*", text.text)
+        meant = f"write `{written[1]} ms` if you mean milliseconds; " if written and timestep > _LONG_TIMESTEP_S else ""
+        namespace.values.add(code, text.span, f"the timestep is {timestep:g} s", f"{meant}a timestep of 10 to 100 ms is usual")
 
 
 def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) -> None:
