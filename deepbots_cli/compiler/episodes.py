@@ -206,7 +206,14 @@ def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping
     robot_name, dot, part = key.partition(".")
     robot, text = namespace.robots.get(robot_name), namespace.values.key_text((*spec.path, "joints", key))
     if robot is None:
-        if robot_name not in namespace.robots:
+        parts = [
+            f"{robot.name}.{part}"
+            for robot in namespace.resolved_robots
+            for part in (*(name for name, (kind, _) in robot.groups.items() if kind in _JOINTS), *robot.drivable_joints)
+        ]
+        if any(whole.partition(".")[2] == key for whole in parts):
+            namespace.values.report_unknown(text.span, "joint", key, parts)
+        elif robot_name not in namespace.robots:
             namespace.values.report_unknown(text.part(0, len(robot_name)), "robot", robot_name, namespace.names_of(Origin.ROBOT))
         return None
     if not part:
@@ -475,7 +482,7 @@ def solved(namespace: Namespace) -> Solved | None:
     if metric == "mean_return":
         return Solved(episodes or 0, mean_return=threshold)
     if not (spec.termination.success or spec.goal or any(map(values.is_invalid, ("success", "termination", "goal")))):
-        help = "add a condition under `termination.success`, or require a `mean_return`"
+        help = "write `success: {reached: CONDITION}` under `termination`, or require a `mean_return`"
         values.add("DB407", ("solved",), NO_SUCCESS_DEFINED, help)
     return Solved(episodes or 0, success_rate=threshold)
 

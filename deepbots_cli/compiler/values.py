@@ -230,11 +230,16 @@ class ValueReader:
     def report_unknown(self, span: Span, what: str, name: str, known: Sequence[str], code: str = "DB201") -> None:
         """A finding that `name` is none of the `known`, unless its definition had one."""
         if not self.is_invalid(name):
-            near = suggest_replacement(name, known)
+            owned = check.with_owner(name, known)
+            near = owned or suggest_replacement(name, known)
             fix = Fix.replacing(span, name, near.text, safe=near.safe) if near else None
             place = _DEFINED_UNDER.get(what)
-            none = f"no {what} is defined" if place is None else f"define `{name}` under `{place}`"
-            self.add(code, span, f"there is no {what} `{name}`", choices_help(name, known) if known else none, fix=fix)
+            help = choices_help(name, known) if known else f"no {what} is defined"
+            if owned:
+                help = f"write `{owned.text}`"
+            elif not known and place is not None:
+                help = f"define `{name}` under `{place}`"
+            self.add(code, span, f"there is no {what} `{name}`", help, fix=fix)
 
     def report(self, text: SourceText) -> FindingReporter:
         """A function that takes findings at offsets of `text`."""

@@ -259,7 +259,8 @@ def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
     if line.startswith("//"):
         help, edit = "begin a comment with `#`", (0, 2, "#")
     elif found := _GLUED.match(line):
-        help, edit = "put a space after the colon", (found.end(), found.end(), " ")
+        help = f"put a space after the colon: `{line[: found.end()]} {line[found.end() :][:_MAX_SHOWN]}`"
+        edit = (found.end(), found.end(), " ")
     elif found := _ASSIGNED.match(line):
         help, edit = f"write a colon: `{found[1]}: {found[2][:_MAX_SHOWN]}`", (found.end(1), found.start(2), ": ")
     elif found := _MISSING_COLON.match(line):

@@ -315,7 +315,7 @@ class _Checker:
         names that are like none of the known.
         """
         names = sorted(known)
-        near = _with_owner(name, names) or suggest_replacement(name, names)
+        near = with_owner(name, names) or suggest_replacement(name, names)
         listed = "; ".join(filter(None, (_known(names, "no name can be used here"), None if near else also)))
         help = f"did you mean `{near.text}`? {listed}" if near else listed
         fix = near._replace(text=f"{before}{near.text}") if near and before is not None else None
@@ -623,7 +623,7 @@ def _positions(count: int) -> Components:
     return {len(PLANE): PLANE, len(SPACE): SPACE}.get(count) or tuple(str(n + 1) for n in range(count))
 
 
-def _with_owner(name: str, known: list[str]) -> Replacement | None:
+def with_owner(name: str, known: Sequence[str]) -> Replacement | None:
     """`cart.speed.x` for `speed.x`, if one part alone has a `speed`."""
     first, dot, rest = name.partition(".")
     longer = [other for other in known if other.endswith(f".{first}")]

@@ -228,8 +228,9 @@ def _line_with_unit(value: Typed, needed: Dimension) -> str | None:
         named = {part.symbol.name: part.symbol.value or () for part in _references(value) if part.type.dimension == given}
         name, numbers = next(iter(named.items())) if len(named) == 1 else ("", ())
         unit = str(given)
-        if given == ANGLE and len(numbers) == 1 and len(_number_text(math.degrees(numbers[0]))) < len(_number_text(numbers[0])):
-            numbers, unit = (math.degrees(numbers[0]),), "deg"
+        degrees = round(math.degrees(numbers[0]), 9) if given == ANGLE and len(numbers) == 1 else math.nan
+        if len(_number_text(degrees)) < len(_number_text(numbers[0] if numbers else 0.0)) and not math.isnan(degrees):
+            numbers, unit = (degrees,), "deg"
     if len(numbers) != 1:
         return None
     unit = f"{unit}/s" if given / needed == TIME and "/" not in unit else str(needed)

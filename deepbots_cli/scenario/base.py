@@ -252,13 +252,19 @@ class Kinds:
             return self.models[word]
         return next((model for marker, model in self.models_by_marker.items() if word is None and marker in value), None)
 
+    def _example(self, value: object) -> str:
+        """A section with the required keys, of the kind that a single value names."""
+        name = value if isinstance(value, str) and value in self.models else self.names[0]
+        required = [key for key, info in self.models[name].model_fields.items() if info.is_required() and key != self.key]
+        entries = {self.key: name, **{key: example_text(self.models[name], key) for key in required}}
+        return f"{{{', '.join(f'{key}: {text}' for key, text in entries.items() if text)}}}"
+
     def validate(self, value: object, info: ValidationInfo) -> Section:
         model = self.find(value)
         if model is not None:
             return model.model_validate(value, context=info.context)
         if not isinstance(value, Mapping):
-            name = value if isinstance(value, str) and value in self.models else self.names[0]
-            raise mismatch("a mapping", f"write it like `{{{self.key}: {name}}}`", value=value)
+            raise mismatch("a mapping", f"write it like `{self._example(value)}`", value=value)
         if self.key not in value:
             wanted = " or ".join(f"`{key}`" for key in (self.key, *self.models_by_marker))
             help = f"write `{self.key}`: one of {', '.join(f'`{name}`' for name in self.names)}"

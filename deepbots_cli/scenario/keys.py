@@ -108,7 +108,7 @@ def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Sug
     if near and is_typo(key, near.text):
         return Suggestion(_beside(f"did you mean `{near.text}`? Write `{_line(root, path, near.text)}`", section), near)
     if home := _home_next_to(path[:-1], key):
-        return Suggestion(_beside(f"move it {home}", section), near)
+        return Suggestion(_beside(f"move it {home}: `{_line(root, path, key)}`", section), near)
     if holders := _holders(section, key, to_data(descend(root, path)[0])):
         places = " or ".join(f"`{holder}:`" for holder in holders)
         return Suggestion(_beside(f"a name that you choose stands one level further in: write this line below {places}", section))
@@ -134,9 +134,9 @@ def _renamed(root: nodes.MappingNode, data: object, path: NodePath, section: typ
     if isinstance(shape, Word) and isinstance(value, bool):  # as `fixed: true` for `base: fixed`
         word = next((word for word in shape.words if (word in written) is value), shape.words[0])
         return Suggestion(f"write `{key}: {word}`", near, is_fix=False)
-    if issubclass(section, Training) and written in SET_ELSEWHERE_HELP:
-        is_fitting = fits(shape, value)
-        return Suggestion(f"write `{_line(root, path, key)}`" if is_fitting else SET_ELSEWHERE_HELP[written], near, is_fitting)
+    elsewhere = SET_ELSEWHERE_HELP.get(written) if issubclass(section, Training) else None
+    if elsewhere and not (isinstance(shape, type) and fits(shape, value)):
+        return Suggestion(elsewhere, near, is_fix=False)
     meant = shape.replacement_for(value) if isinstance(shape, FieldType) and not shape.has_form(value) else None
     if meant is not None:
         return Suggestion(f"write `{key}: {meant.text}`", near, is_fix=False)
@@ -150,7 +150,10 @@ def _line(root: nodes.MappingNode, path: NodePath, key: str) -> str:
     value, word, _ = descend(root, path)
     if word is None or value.span.source is not word.span.source:
         return f"{key}:"
-    behind = word.span.source.text[word.span.end : value.span.end]
+    text = word.span.source.text
+    behind = text[word.span.end : value.span.end]
+    if behind.startswith("="):  # an assignment of the command line
+        return f"--set {text[: word.span.start]}{key}{behind}"
     return f"{key}{behind}" if re.fullmatch(rf":[^\n]{{1,{_MAX_LINE_CHARACTERS}}}", behind) else f"{key}:"
 
 

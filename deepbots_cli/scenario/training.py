@@ -355,7 +355,6 @@ SET_ELSEWHERE_HELP: Mapping[str, str] = {
     "replay_buffer_class": "write `replay: her`",
     "replay_buffer_kwargs": "write `replay: {type: her, n_sampled_goal: 4}`",
     "lstm_hidden_size": "write `lstm: 64`",
-    "n_envs": "write `environments`",
     "episodes": "write `total_timesteps: 100_000`: deepbots counts the steps of a training, not its episodes",
     "n_episodes": "write `total_timesteps: 100_000`: deepbots counts the steps of a training, not its episodes",
 }
