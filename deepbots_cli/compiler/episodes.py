@@ -379,6 +379,10 @@ class Signals(NamespaceReader):
         self.valued: dict[str, Expression] = {}
         if isinstance(spec.augment, dict):
             for name, given in spec.augment.items():
+                if given == name and self._is_defined_elsewhere(name):
+                    help = f"to send an existing value, name it in a list: `augment: [{name}, ...]`; an entry of a mapping needs a new name"
+                    self._values.add("DB202", self._values.key_span(("augment", name)), f"`{name}` under `augment` exists already", help)
+                    continue
                 self._define(name, given, Origin.AUGMENT, ("augment", name), Context.SIGNAL)
         for name, given in spec.signals.items():
             self._define(name, given, Origin.SIGNAL, ("signals", name), Context.SIGNAL)
@@ -393,6 +397,9 @@ class Signals(NamespaceReader):
         for outcome, conditions in outcomes.items():
             for name, condition in conditions.items():
                 self._define(name, condition, Origin.ENDING, ("termination", outcome, name), Context.ENDING)
+
+    def _is_defined_elsewhere(self, name: str) -> bool:
+        return name in self._spec.parameters or name in self._spec.signals
 
     def _check_augmented(self, names: Sequence[str]) -> None:
         """A list under `augment` names values that exist, which the policy may see."""

@@ -17,7 +17,7 @@ from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import fold_operation, lower
-from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
+from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, is_drawn, names_in
 from deepbots_cli.expressions.types import PLANE, Context, Known, Symbol, Type
 from deepbots_cli.files import MAX_PICTURE_BYTES, picture_problem, read_at_most
 from deepbots_cli.program.resets import ObjectGroup, OfLink, OfWalls, OfWorld
@@ -256,6 +256,12 @@ def _formula(given: world_spec.Formula, size: tuple[float, float], namespace: Na
     if typed is None:
         return None
     (heights,) = lower(typed, text.owner)
+    drawn = dict.fromkeys(name.name for name in names_in(heights) if name.name not in sides)
+    if drawn or is_drawn(heights):
+        what = f"`{next(iter(drawn))}`, which is drawn in every episode" if drawn else "a random draw"
+        help = "give it a fixed value; a stage of `curriculum` or a case of `evaluation` may set another one"
+        values.add("DB407", text.span, f"`heights` must be fixed, but uses {what}", help)
+        return None
     steps = [step / _FORMULA_SAMPLES - 0.5 for step in range(_FORMULA_SAMPLES + 1)]
     for x, y in ((along_x * size[0], along_y * size[1]) for along_y in steps for along_x in steps):
         found = _at(heights, {"x": x, "y": y})

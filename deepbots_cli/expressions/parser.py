@@ -422,7 +422,7 @@ class _Parser:
             return _SyntaxError(token.start, token.end, headline, f"write `{' '.join(meant.split())}`")
         if token.text == "(" and (names := self._names_before()):
             first, help = self._tokens[self._at - 2 * len(names) + 1], f"call the function without a prefix: `{foreign.call(names)}`"
-            return _SyntaxError(first.start, token.end, f"`{'.'.join(names)}` is not a function", help)
+            return _SyntaxError(first.start, self._tokens[self._at - 1].end, f"`{'.'.join(names)}` is not a function", help)
         return _SyntaxError(token.start, token.end, *_diagnosis(self._tokens, self._at, missing))
 
     def _names_before(self) -> tuple[str, ...]:

@@ -40,7 +40,7 @@ FAULTS = [
         "DB103",
         "[1, 1]",
         "expected a length with 2 components, found a list",
-        "in one text, like `0.5 0.5 m`",
+        "in one text: `1 1 m`",
     ),
     ("alive: 1", "alive:1", "DB103", "alive:1", "expected a mapping, found the text `alive:1`", "put a space after the colon: `alive: 1`"),
     (
