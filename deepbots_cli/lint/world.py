@@ -59,15 +59,7 @@ def falls_without_end(context: RuleContext) -> Iterator[Finding]:
     """DB323: a robot falls without end, because its base is free and nothing of it collides with the ground.
 
     The rule applies to a robot without `base: fixed` whose robot file has no <collision>, and which has no thrusters. An arm is bolted
-    to the ground: write `base: fixed`. `deepbots new --urdf` writes it for an arm.
-
-    Example::
-
-        robots: {arm: {urdf: arm_without_collisions.urdf}}
-
-    Instead::
-
-        robots: {arm: {urdf: arm_without_collisions.urdf, base: fixed}}
+    to the ground: write `base: fixed` under its name in `robots`. `deepbots new --urdf` writes it for an arm.
     """
     program, values = context.program, context.values
     lifted = {robot.name for robot in program.robots if any(isinstance(each, (Thrust, CustomActuator)) for each in robot.actuators)}
