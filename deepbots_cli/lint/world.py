@@ -1,4 +1,4 @@
-"""The world: objects out of scale (DB507), engines (DB309, DB316), robots that fall (DB323), and how episodes begin (DB310, DB809, DB812)."""
+"""The world: what is out of scale (DB507), engines (DB309, DB316), robots that fall (DB323), how episodes begin (DB310, DB809, DB812)."""
 
 from __future__ import annotations
 

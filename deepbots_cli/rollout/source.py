@@ -199,7 +199,7 @@ def _is_path_of_run(path: Path) -> bool:
 
 def _elsewhere(path: Path, here: Path) -> str | None:
     """Where the named file lies: in a folder above, or below this one."""
-    if path.is_absolute() or not path.suffix and not _is_path_of_run(path):
+    if path.is_absolute() or not (path.suffix or _is_path_of_run(path)):
         return None
     with_runs = Path("runs") / path
     for above in (*here.parents,)[:_MAX_ABOVE]:

@@ -206,7 +206,9 @@ def show(slip: Slip, folder: Path) -> str:
     run = "import sys; from deepbots_cli.cli import main; sys.exit(main(sys.argv[1:]))"
     ran = subprocess.run([sys.executable, "-c", run, *slip.command], cwd=here, capture_output=True, text=True, check=False)
     said = (ran.stdout + ran.stderr).rstrip().replace(str(folder), "/home/ann/project")
-    return "\n".join([f"=== {slip.name}", *lines, f"$ {start}deepbots {' '.join(slip.command)}", said, f"(exit status {ran.returncode})", ""])
+    return "\n".join(
+        [f"=== {slip.name}", *lines, f"$ {start}deepbots {' '.join(slip.command)}", said, f"(exit status {ran.returncode})", ""]
+    )
 
 
 if __name__ == "__main__":
