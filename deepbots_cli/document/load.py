@@ -331,8 +331,7 @@ def merge(base: MappingNode, over: MappingNode, name: str = "") -> MappingNode:
     """`over` laid upon `base`; both are the value of the key `name`.
 
     Mappings merge by key in the order of `base`; lists and single values replace, and `xyz` replaces `x`, `y` and `z`. If the kind
-    changes (`type`, `shape`,
-    `algorithm`), the settings of the old kind have no meaning, and `over` stands alone.
+    changes (`type`, `shape`, `algorithm`), the settings of the old kind have no meaning, and `over` stands alone.
     """
     if name not in _OF_NAMES and any(_differ(base.get(key), over.get(key)) for key in _KIND_KEYS):
         return over

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-from deepbots_cli.diagnostics.nearest import Replacement, nearest_word, suggest_replacement
+from deepbots_cli.diagnostics.nearest import MAX_BESIDE, Replacement, is_typo, nearest_word, suggest_replacement
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, UNITS, Dimension
 from deepbots_cli.expressions.types import PLANE, SPACE, Components, shortened_list
@@ -74,8 +74,11 @@ def counted_noun(number: int, noun: str) -> str:
 
 
 def choices_help(word: str, words: Sequence[str]) -> str:
-    """The help for an unknown word: the probable word, and all known words."""
-    near = word_for(word, words) or nearest_word(word, words)
+    """The help for an unknown word: the probable word, and all known words; a long list is left out beside a word that is hardly wrong."""
+    other = word_for(word, words)
+    near = other or nearest_word(word, words)
+    if near and len(words) > MAX_BESIDE and (other or is_typo(word, near)):
+        return f"did you mean `{near}`?"
     listed = shortened_list((f"`{known}`" for known in words), _MAX_LISTED)
     return f"did you mean `{near}`? known names: {listed}" if near else f"known names: {listed}"
 

@@ -13,7 +13,7 @@ from typing import Annotated, NamedTuple
 
 from pydantic import TypeAdapter, ValidationError
 
-from deepbots_cli.diagnostics.nearest import Replacement, is_typo, suggest_replacement
+from deepbots_cli.diagnostics.nearest import MAX_BESIDE, Replacement, is_typo, suggest_replacement
 from deepbots_cli.document import nodes
 from deepbots_cli.document.nodes import NodePath, descend, to_data
 from deepbots_cli.scenario.base import (
@@ -38,8 +38,6 @@ from deepbots_cli.scenario.training import SET_ELSEWHERE_HELP, Training
 _RESERVED = {"agents": "competing agents are not supported yet"}
 _MAX_EXAMPLE_CHARACTERS = 120
 _MAX_LINE_CHARACTERS = 120
-_MAX_KEYS_BESIDE = 10
-"""Number of keys up to which a section lists them beside a suggestion."""
 _MAX_HOMES = 6
 _MAX_HOLDERS = 3
 """Number of mappings one level down that can hold a name; more say nothing."""
@@ -108,7 +106,7 @@ def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Sug
     if near and is_typo(key, near.text):
         return Suggestion(_beside(f"did you mean `{near.text}`? Write `{_line(root, path, near.text)}`", section), near)
     if home := _home_next_to(path[:-1], key):
-        return Suggestion(_beside(f"move it {home}: `{_line(root, path, key)}`", section), near)
+        return Suggestion(_beside(f"write `{_line(root, path, key)}` {home}", section), near)
     if holders := _holders(section, key, to_data(descend(root, path)[0])):
         places = " or ".join(f"`{holder}:`" for holder in holders)
         return Suggestion(_beside(f"a name that you choose stands one level further in: write this line below {places}", section))
@@ -121,7 +119,7 @@ def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Sug
 
 def _beside(help: str, section: type[Section]) -> str:
     """A suggestion, with the keys of a section that has few."""
-    if len(section.model_fields) > _MAX_KEYS_BESIDE:
+    if len(section.model_fields) > MAX_BESIDE:
         return help
     return f"{help}; {keys_of(section)}"
 
@@ -200,7 +198,7 @@ def _home_next_to(parent: NodePath, key: str) -> str | None:
     if not levels:
         return None
     steps = [own if step == "*" else step for step, own in zip(levels[0], (*here, ""), strict=False)]
-    return f"under `{'.'.join(steps)}`" if steps else "to the top level"
+    return f"under `{'.'.join(steps)}`" if steps else "at the top level"
 
 
 def _home_elsewhere(parent: NodePath, key: str) -> str | None:

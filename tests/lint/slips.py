@@ -7,19 +7,26 @@ them with the messages.
 from __future__ import annotations
 
 import shutil
-import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
+from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from difflib import unified_diff
+from io import StringIO
 from pathlib import Path
 
+from deepbots_cli.cli import main
 from deepbots_cli.document import shipped
 
 ROBOTS = {"cartpole": "cartpole", "quadruped": "a1"}
 LINT = ("lint", "mine.yaml")
 RUN = {"runs/mine-0-1/run.json": "{}"}
+
+
+def original(name: str) -> str:
+    """The text of a shipped scenario."""
+    return Path(str(shipped.scenario_path(name))).read_text(encoding="utf-8")
 
 
 @dataclass(frozen=True)
@@ -55,8 +62,7 @@ class Slip:
 
     @property
     def original(self) -> str:
-        text = Path(str(shipped.scenario_path(self.of))).read_text(encoding="utf-8")
-        return text if self.is_copied_by_hand else text.replace("../robots/", "robots/")
+        return original(self.of) if self.is_copied_by_hand else original(self.of).replace("../robots/", "robots/")
 
     def text(self) -> str:
         """The scenario with the slip."""
@@ -85,6 +91,7 @@ def lint(name: str, at: str, says: tuple[str, ...], *edits: tuple[str, str], of:
 
 SUBSTEPS, STEPS, ALIVE = "  substeps: 4\n", "max_steps: 200", "  alive: 1\n"
 JOINTS = "  joints: {cart.pole_hinge"
+TRAIN = original("cartpole").partition("\n\ntrain:")[2].partition("\n\ntests:")[0].join(("train:", "\n"))
 TRAIN_SET = ("train", "mine.yaml", "--set")
 
 
@@ -223,7 +230,7 @@ SLIPS = (
          ("urdf: robots", "urdf: package://cartpole_description")),
     # training
     Slip("train_is_a_word", "54:8", ("expected a mapping", "`{algorithm: PPO, total_timesteps: 100_000}`"),
-         (("train:\n", "train: PPO\ntests:\n"),)),
+         ((TRAIN, "train: PPO\n"),)),
     lint("algorithm_in_lower_case", "55:14", ("unknown algorithm `ppo`", "`PPO`"),
          ("algorithm: PPO", "algorithm: ppo")),
     lint("algorithm_for_other_actions", "55:14", ("SAC supports only continuous actions", "use PPO"),
@@ -240,16 +247,15 @@ SLIPS = (
 
 def show(slip: Slip, folder: Path) -> str:
     """A slip as text: what was changed, the command, and what it prints."""
-    here = slip.write(folder)
     changes = unified_diff(slip.original.splitlines(), slip.text().splitlines(), lineterm="", n=1)
     lines = [f"    {line}" for line in changes if not line.startswith(("---", "+++", "@@"))]
     lines += [f"    (also there: {name})" for name in slip.files]
     lines += [f"    (the scenario is {slip.path})"] if slip.path != "mine.yaml" else []
     start = f"cd {slip.folder} && " if slip.folder != "." else ""
-    run = "import sys; from deepbots_cli.cli import main; sys.exit(main(sys.argv[1:]))"
-    ran = subprocess.run([sys.executable, "-c", run, *slip.command], cwd=here, capture_output=True, text=True, check=False)
-    said = (ran.stdout + ran.stderr).rstrip().replace(str(folder), "/home/ann/project")
-    lines += [f"$ {start}deepbots {' '.join(slip.command)}", said, f"(exit status {ran.returncode})", ""]
+    with chdir(slip.write(folder)), redirect_stdout(StringIO()) as out, redirect_stderr(out):
+        code = main(list(slip.command))
+    said = out.getvalue().rstrip().replace(str(folder.resolve()), "/home/ann/project")
+    lines += [f"$ {start}deepbots {' '.join(slip.command)}", said, f"(exit status {code})", ""]
     return "\n".join([f"=== {slip.name}", *lines])
 
 
