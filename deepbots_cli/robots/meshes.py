@@ -41,7 +41,7 @@ _INDEX = re.compile(rb"[ \t]-?0*([0-9]+)")
 _LINES = re.compile(rb"^[ \t]*(?=[vf][ \t])", re.MULTILINE)
 _MAX_LINES = 400_000  # vertices and faces of an OBJ file; 32 MiB could hold millions, and take seconds and a gigabyte to read
 _MAX_COORDINATE = 1e6  # in the units of the mesh: 1 km in millimeters
-_LARGE_NUMBER = re.compile(rb"[0-9]{7}|[eE]\+?0*[1-9]")
+_LARGE_NUMBER = re.compile(rb"(?<![0-9.])[0-9]{7}|[eE]\+?0*[1-9]")
 _MAX_CORNERS = 1_500_000
 _COLLADA = ("asset", "library_geometries", "library_visual_scenes")
 _ARCHIVES = (b"PK\x03\x04", b"PK\x05\x06", b"\x1f\x8b", b"BZh", b"\xfd7zXZ\0", b"7z\xbc\xaf", b"Rar!", b"\x28\xb5\x2f\xfd")

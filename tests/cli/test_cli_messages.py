@@ -122,3 +122,9 @@ def test_a_mesh_with_a_vertex_far_out_is_refused_before_an_engine_searches_it(de
     )
     ran = deepbots("inspect", "far.urdf")
     assert "the mesh has a vertex at 1" in ran.out + ran.err
+
+
+def test_inspect_shows_ranges_in_the_unit_of_the_file_and_json_in_si(deepbots):
+    rows = [line.split() for line in deepbots("inspect", "cartpole").out.splitlines()]
+    assert ["2", "cart.pole_angle", "-20", "20", "deg", "-1", "..", "1"] in rows
+    assert '"low": -0.3490658503988659' in deepbots("inspect", "cartpole", "--json").out
