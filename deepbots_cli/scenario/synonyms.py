@@ -25,9 +25,9 @@ class Synonyms(NamedTuple):
 def synonyms() -> Synonyms:
     findings = Findings()
     root = parse(Source(SYNONYMS_FILE.name, SYNONYMS_FILE.read_text(encoding="utf-8")), findings)
-    if root is None or list(findings):
+    tables = to_data(root) if root is not None else None
+    if not isinstance(tables, dict) or list(findings):
         raise ValueError(f"{SYNONYMS_FILE} is broken: {[finding.headline for finding in findings]}")
-    tables: Mapping[str, Mapping[str, str]] = to_data(root)
     return Synonyms(*({word: frozenset(others.split()) for word, others in tables[name].items()} for name in Synonyms._fields))
 
 

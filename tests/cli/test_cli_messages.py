@@ -10,7 +10,9 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.document import load, shipped
 from deepbots_cli.document.nodes import to_data
+from deepbots_cli.footprint import box_around
 from deepbots_cli.learning.report import TrainingProgress
+from deepbots_cli.runtime.overview import extent
 
 CARTPOLE = "deepbots: 1\nextends: cartpole\nname: Copy\n"
 
@@ -128,3 +130,11 @@ def test_inspect_shows_ranges_in_the_unit_of_the_file_and_json_in_si(deepbots):
     rows = [line.split() for line in deepbots("inspect", "cartpole").out.splitlines()]
     assert ["2", "cart.pole_angle", "-20", "20", "deg", "-1", "..", "1"] in rows
     assert '"low": -0.3490658503988659' in deepbots("inspect", "cartpole", "--json").out
+
+
+def test_a_robot_on_a_large_field_is_no_dot(tmp_path):
+    field = "deepbots: 1\nextends: quadruped\nname: Field\n"
+    field += "world: {terrain: {type: formula, heights: 1 cm * sin(x / m * 90 deg), size: 40 40 m}}\n"
+    (tmp_path / "field.yaml").write_text(field)
+    low, high = box_around(extent(api.compile(tmp_path / "field.yaml").program))
+    assert max(b - a for a, b in zip(low, high, strict=True)) < 10.0
