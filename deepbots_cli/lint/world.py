@@ -60,6 +60,39 @@ def falls_without_end(context: RuleContext) -> Iterator[Finding]:
 
     The rule applies to a robot without `base: fixed` whose robot file has no <collision>, and which has no thrusters. An arm is bolted
     to the ground: write `base: fixed` under its name in `robots`. `deepbots new --urdf` writes it for an arm.
+
+    Example::
+
+        <robot name="lever">
+          <link name="foot">
+            <inertial><mass value="2"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
+          </link>
+          <link name="arm">
+            <inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
+          </link>
+          <joint name="shoulder" type="revolute">
+            <parent link="foot"/>
+            <child link="arm"/>
+            <limit lower="-1" upper="1" effort="20" velocity="2"/>
+          </joint>
+        </robot>
+
+    Instead::
+
+        <robot name="lever">
+          <link name="foot">
+            <inertial><mass value="2"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
+            <collision><geometry><box size="0.2 0.2 0.1"/></geometry></collision>
+          </link>
+          <link name="arm">
+            <inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
+          </link>
+          <joint name="shoulder" type="revolute">
+            <parent link="foot"/>
+            <child link="arm"/>
+            <limit lower="-1" upper="1" effort="20" velocity="2"/>
+          </joint>
+        </robot>
     """
     program, values = context.program, context.values
     lifted = {robot.name for robot in program.robots if any(isinstance(each, (Thrust, CustomActuator)) for each in robot.actuators)}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from functools import cache
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -18,7 +18,6 @@ from deepbots_cli.document import nodes
 from deepbots_cli.document.nodes import NodePath, descend, to_data
 from deepbots_cli.scenario.base import (
     LENIENT,
-    FieldType,
     Kinds,
     MappingOf,
     Section,
@@ -31,7 +30,7 @@ from deepbots_cli.scenario.base import (
     shape_at,
     walk_sections,
 )
-from deepbots_cli.scenario.fields import Word
+from deepbots_cli.scenario.fields import FieldType, Word
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.training import SET_ELSEWHERE_HELP, Training
 
@@ -161,10 +160,9 @@ def _holders(section: type[Section], name: str, value: object) -> list[str]:
     for key, shape in section_fields(section).items():
         if isinstance(shape, MappingOf) and not (isinstance(shape.value, FieldType) and not fits(shape.value, value)):
             info = section.model_fields[key]
+            annotation: Any = Annotated[(info.annotation, *info.metadata)] if info.metadata else info.annotation
             try:
-                TypeAdapter(Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation).validate_python(
-                    {name: value}, context={LENIENT: True}
-                )
+                TypeAdapter(annotation).validate_python({name: value}, context={LENIENT: True})
             except ValidationError:
                 continue
             found.append(key)
