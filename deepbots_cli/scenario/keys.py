@@ -105,7 +105,7 @@ def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Sug
     if near and is_typo(key, near.text):
         return Suggestion(_beside(f"did you mean `{near.text}`? Write `{_line(root, path, near.text)}`", section), near)
     if home := _home_next_to(path[:-1], key):
-        return Suggestion(_beside(f"write `{_line(root, path, key)}` {home}", section), near)
+        return Suggestion(_beside(f"write `{_line(root, path, key)}` {home}", section))
     if holders := _holders(section, key, to_data(descend(root, path)[0])):
         places = " or ".join(f"`{holder}:`" for holder in holders)
         return Suggestion(_beside(f"a name that you choose stands one level further in: write this line below {places}", section))
