@@ -101,7 +101,7 @@ def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Sug
     if isinstance(kinds, Kinds):
         others = [name for name, model in kinds.models.items() if key in model.model_fields and name != kinds.default]
         if others:
-            return Suggestion(_beside(f"remove it: only {listed(others)} {'uses' if len(others) == 1 else 'use'} this key", section), near)
+            return Suggestion(_beside(f"remove it: only {listed(others)} {'uses' if len(others) == 1 else 'use'} this key", section))
     if near and is_typo(key, near.text):
         return Suggestion(_beside(f"did you mean `{near.text}`? Write `{_line(root, path, near.text)}`", section), near)
     if home := _home_next_to(path[:-1], key):
