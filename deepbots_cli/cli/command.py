@@ -31,7 +31,11 @@ def known_engine(name: str | None) -> str | None:
     if name is None:
         return None
     if name not in ENGINES:
-        raise typer.BadParameter(f"there is no engine '{name}'; the engines are: {', '.join(ENGINES)}")
+        from deepbots_cli.scenario.synonyms import word_for
+
+        near = word_for(name, ENGINES) or nearest_word(name, ENGINES)
+        hint = f"did you mean '{near}'? The" if near else "the"
+        raise typer.BadParameter(f"there is no engine '{name}'; {hint} engines are: {', '.join(ENGINES)}")
     kind = ENGINES[name]
     if not kind.is_installed and any(other.is_installed for other in ENGINES.own.values()):
         raise typer.BadParameter(f"{kind.missing}; {kind.remedy}")
@@ -44,7 +48,8 @@ def whole_number(minimum: int = 1, maximum: int | None = None) -> Callable[[str 
     def parse(text: str | int) -> int:
         value = _whole(str(text))
         if value is None:
-            raise typer.BadParameter(f"'{text}' is not a whole number; write it like 100000, 100_000, 100k or 1e5")
+            like = "0 or 42" if minimum == 0 else "100000, 100_000, 100k or 1e5"
+            raise typer.BadParameter(f"'{text}' is not a whole number; write it like {like}")
         if value < minimum:
             raise typer.BadParameter(f"{text} is too small; the minimum is {minimum}")
         if maximum is not None and value > maximum:

@@ -14,7 +14,14 @@ Check = Callable[[str], tuple[Scenario | None, list[Finding]]]
 FAULTS = [
     # unknown keys
     ("  timestep: 32 ms", "  timstep: 32 ms", "DB101", "timstep", "unknown key `timstep` in `world`", "did you mean `timestep`?"),
-    ("name: C", "timestep: 1 s\nname: C", "DB101", "timestep", "unknown key `timestep` at the top level", "move it under `world`"),
+    (
+        "name: C",
+        "timestep: 1 s\nname: C",
+        "DB101",
+        "timestep",
+        "unknown key `timestep` at the top level",
+        "write `timestep: 1 s` under `world`",
+    ),
     ("name: C", "agents: {}\nname: C", "DB101", "agents", "unknown key `agents` at the top level", "not supported yet"),
     ("PPO,", "PPO, gama: 0.9,", "DB101", "gama", "unknown key `gama` in `train`", "did you mean `gamma`?"),
     ("PPO,", "PPO, tau: 0.9,", "DB101", "tau", "unknown key `tau` in `train`", "only `DQN`, `SAC`"),
@@ -41,7 +48,7 @@ FAULTS = [
         "DB103",
         "[1, 1]",
         "expected a length with 2 components, found a list",
-        "in one text, like `0.5 0.5 m`",
+        "in one text: `1 1 m`",
     ),
     ("alive: 1", "alive:1", "DB103", "alive:1", "expected a mapping, found the text `alive:1`", "put a space after the colon: `alive: 1`"),
     (

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from shlex import quote
@@ -269,7 +270,9 @@ def command(
                 settings |= {"seed": seed or 0, "group": run, "placement": placement}
                 retries.train(compiled, retry, quiet=quiet, as_json=as_json, **settings)
                 return
-            result = learning.train(compiled, run=run, seed=seed or 0, on_start=show_page, placement=placement, **settings)
+            result = learning.train(
+                compiled, run=run, seed=seed or 0, on_start=partial(_begin, show_page, quiet=quiet), placement=placement, **settings
+            )
     _finish(result, quiet=quiet, as_json=as_json, permissions=permissions)
 
 
@@ -353,6 +356,13 @@ def _announce(compiled: api.Compiled, seeds: str, timesteps: int | None, *, full
         for reason in compiled.learner:
             terminal.note(f"deepbots chose {reason}")
         terminal.note(f"at most {timesteps or training.total_timesteps:,} timesteps{until}; Ctrl-C ends it and keeps the policy")
+
+
+def _begin(show_page: Callable[[Path], None], run: Path, *, quiet: bool) -> None:
+    """Say where the run is, and show its page."""
+    if not quiet:
+        terminal.note(f"the run is {run}")
+    show_page(run)
 
 
 def _name_missing_search(program: Program, scenario: str) -> None:
