@@ -175,6 +175,7 @@ def _plain_sizes(content: memoryview) -> Iterator[int]:
             if part != _WEIGHTS or isinstance(message, int):
                 yield _size(message)
                 continue
+            yield 2
             yield from (2 if field == _NUMBERS else _size(numbers) for field, _, numbers in _fields(message))
 
 

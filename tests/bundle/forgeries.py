@@ -13,7 +13,6 @@ are the same forgery. What fails is printed with its number and kept in FOLDER; 
 from __future__ import annotations
 
 import argparse
-import io
 import json
 import os
 import random
@@ -104,6 +103,10 @@ def prepare(folder: Path, names: Sequence[str] = tuple(BASES)) -> Path:
     for name in names:
         if not (folder / name).exists():
             written(folder / name, *BASES[name])
+            forged = Forged.of(folder / name)
+            forged.files |= {bundle.README_NAME: b"Limits of the commands: 5 rad/s\n" * 9, bundle.SCENARIO_NAME: b"deepbots: 1\n"}
+            shutil.rmtree(folder / name)
+            forged.write(folder / name, digests=True)
         content = signature.sign((folder / name / bundle.BUNDLE_NAME).read_bytes(), folder / "key")
         (folder / name / bundle.SIGNATURE_NAME).write_bytes(content)
     return folder
@@ -167,7 +170,6 @@ def _record_again(forged: Forged) -> None:
 
 def examine(outcome: Outcome, folder: Path, trusted: Path, same_as: Path) -> None:
     """Load a forgery, and let its policy act if it loads; fills in the outcome. Runs in a process of its own."""
-    noise = io.StringIO()
     before = _memory("VmRSS")
     _clear_peak()
     started = time.process_time()
@@ -193,7 +195,7 @@ def examine(outcome: Outcome, folder: Path, trusted: Path, same_as: Path) -> Non
         raise FailedError(f"{outcome.seconds:.2f} s of CPU until: {outcome.text or outcome.end}")
     if outcome.megabytes > MAX_MEMORY / 1e6:
         raise FailedError(f"{outcome.megabytes:.0f} MB until: {outcome.text or outcome.end}")
-    if warned or noise.getvalue():
+    if warned:
         raise FailedError(f"a warning: {warned[0].category.__name__}: {warned[0].message}")
 
 
