@@ -26,7 +26,27 @@ from onnx import AttributeProto, TensorProto, helper, numpy_helper
 from deepbots_robot import BundleError, bundle, model
 
 TEXTS = ("", "x", "\x1b]0;owned\x07", "a\nsigned: yes", "‮evil", "\u0000", "𝔘" * 200, "a" * 5_000, "../x", "%s{0}", "null", "\ud800", "ａ")
-NUMBERS = (0, -1, 1, -0.0, 0.5, 255, 256, 1 << 31, 1 << 53, -(1 << 63), 1 << 64, 1e-320, 1e300, -1e300, 1e308, "@1e999@", "@-1e999@", "@NaN@", "@9e9@")
+NUMBERS = (
+    0,
+    -1,
+    1,
+    -0.0,
+    0.5,
+    255,
+    256,
+    1 << 31,
+    1 << 53,
+    -(1 << 63),
+    1 << 64,
+    1e-320,
+    1e300,
+    -1e300,
+    1e308,
+    "@1e999@",
+    "@-1e999@",
+    "@NaN@",
+    "@9e9@",
+)
 HUGE = "@" + "9" * 5_000 + "@"
 
 
@@ -268,7 +288,9 @@ def json_inputs(dice: random.Random, forged: Forged) -> None:
         case 2:
             entry["robot"] = dice.choice(["a b", "ä", "/", None, "x" * 200])
         case 3:
-            forged.tree["inputs"].append({**entry, "name": dice.choice([f"{entry['name']} ", entry["name"].replace("(", " "), "?", "(", ")"])})
+            forged.tree["inputs"].append(
+                {**entry, "name": dice.choice([f"{entry['name']} ", entry["name"].replace("(", " "), "?", "(", ")"])}
+            )
         case 4:
             entry["source"], entry["rate_hz"] = dice.choice(["goal", "sensor", "supervisor"]), dice.choice([1e-6, 1e6, 1.0])
         case _:
@@ -295,7 +317,9 @@ def json_topics(dice: random.Random, forged: Forged) -> None:
     name = dice.choice([entry["name"] for key in ("inputs", "outputs") for entry in forged.tree[key]])
     types = ["std_msgs/Float64MultiArray", "sensor_msgs/JointState", "sensor_msgs/Image", "geometry_msgs/Twist", "x/Y", ""]
     topic = dice.choice(["/a", "a", "/", "/a\n", "/a/" + "b" * 200, "/deepbots/action", "/deepbots/episode"])
-    forged.tree["ros"] = {name: {"topic": topic, "type": dice.choice(types), "part": dice.choice([None, "data", "position", "x", "linear.x"])}}
+    forged.tree["ros"] = {
+        name: {"topic": topic, "type": dice.choice(types), "part": dice.choice([None, "data", "position", "x", "linear.x"])}
+    }
 
 
 def json_actions(dice: random.Random, forged: Forged) -> None:
@@ -402,7 +426,13 @@ def wire(dice: random.Random, forged: Forged) -> None:
                 kind = dice.choice([3, 4, 6, 7])
                 return before + varint(number << 3 | kind) + content + varint(number << 3 | 4) + after
             case 7:  # a length beyond the end
-                return before + varint(number << 3 | 2) + varint(dice.choice([len(content) + 1, 1 << 31, 1 << 63, (1 << 64) - 1])) + content + after
+                return (
+                    before
+                    + varint(number << 3 | 2)
+                    + varint(dice.choice([len(content) + 1, 1 << 31, 1 << 63, (1 << 64) - 1]))
+                    + content
+                    + after
+                )
             case _:  # another number
                 return before + varint(number << 3) + varint(dice.choice([0, 1, 7, 16, 255, 1 << 31, (1 << 63) - 1, (1 << 64) - 1])) + after
 
@@ -494,7 +524,21 @@ def graph_attribute(dice: random.Random, forged: Forged) -> None:
         node = dice.choice(graph.graph.node)
         inner = helper.make_graph([], "inner", [], [])
         value = dice.choice([1, 1.5, "x", [1, 2], inner, numpy_helper.from_array(np.zeros(2), "t")])
-        names = ["body", "axis", "to", "group", "auto_pad", "value", "activations", "keepdims", "fmod", "clip", "direction", "layout", "noop_with_empty_axes"]
+        names = [
+            "body",
+            "axis",
+            "to",
+            "group",
+            "auto_pad",
+            "value",
+            "activations",
+            "keepdims",
+            "fmod",
+            "clip",
+            "direction",
+            "layout",
+            "noop_with_empty_axes",
+        ]
         node.attribute.append(helper.make_attribute(dice.choice(names), value))
     else:
         attribute = dice.choice(dice.choice(with_attributes).attribute)
@@ -560,7 +604,9 @@ def graph_model(dice: random.Random, forged: Forged) -> None:
         case 2:
             graph.opset_import.add(domain=dice.choice(["com.microsoft", "ai.onnx.ml", ""]), version=1)
         case 3:
-            graph.functions.append(helper.make_function("d", "Relu", ["x"], ["y"], [helper.make_node("Exp", ["x"], ["y"])], [helper.make_opsetid("", 17)]))
+            graph.functions.append(
+                helper.make_function("d", "Relu", ["x"], ["y"], [helper.make_node("Exp", ["x"], ["y"])], [helper.make_opsetid("", 17)])
+            )
         case 4:
             graph.doc_string = dice.choice(TEXTS[1:6]) * dice.choice([1, 300_000])
         case 5:
@@ -589,7 +635,9 @@ def graph_work(dice: random.Random, forged: Forged) -> None:
     """Work and memory beside what the commands need."""
     graph = forged.graph
 
-    def add(operator: str, inputs: list[str], shape: list[int], kind: int = TensorProto.DOUBLE, name: str = "bomb", **attributes: Any) -> None:
+    def add(
+        operator: str, inputs: list[str], shape: list[int], kind: int = TensorProto.DOUBLE, name: str = "bomb", **attributes: Any
+    ) -> None:
         graph.graph.node.append(helper.make_node(operator, inputs, [name], **attributes))
         graph.graph.value_info.append(helper.make_tensor_value_info(name, kind, shape))
 
@@ -610,7 +658,9 @@ def graph_work(dice: random.Random, forged: Forged) -> None:
             add("Max", ["one"] * dice.choice([100, 100_000]), [1_000_000])
             weigh("one", np.zeros(1_000_000))
         case 2:
-            picture, kernel = (weigh(name, np.zeros((1, 1, side, side), np.float32)) for name, side in (("picture", size), ("kernel", size // 3)))
+            picture, kernel = (
+                weigh(name, np.zeros((1, 1, side, side), np.float32)) for name, side in (("picture", size), ("kernel", size // 3))
+            )
             side = size - size // 3 + 1
             add("Conv", [picture, kernel], [1, 1, side, side], TensorProto.FLOAT)
         case 3:
@@ -661,7 +711,9 @@ def parity_array(dice: random.Random, forged: Forged) -> None:
         case 0:
             arrays[name] = np.zeros(array.shape, dice.choice(types))
         case 1:
-            arrays[name] = dice.choice([array[:-1], array[:0], array[None], array.reshape(-1), array[..., None], array[:, :0] if array.ndim > 1 else array])
+            arrays[name] = dice.choice(
+                [array[:-1], array[:0], array[None], array.reshape(-1), array[..., None], array[:, :0] if array.ndim > 1 else array]
+            )
         case 2:
             del arrays[name]
         case 3:
@@ -732,7 +784,9 @@ def parity_archive(dice: random.Random, forged: Forged) -> None:
             tail[8:16] = struct.pack("<HHI", count, count, end - at + size)
             forged.files[bundle.PARITY_NAME] = old[:end] + old[at : at + size] + bytes(tail)
         case 6:
-            forged.files[bundle.PARITY_NAME] = dice.choice([b"x" * 1_000 + old, old + bytes(70_000), old + old, b"", b"PK\x05\x06" + bytes(18)])
+            forged.files[bundle.PARITY_NAME] = dice.choice(
+                [b"x" * 1_000 + old, old + bytes(70_000), old + old, b"", b"PK\x05\x06" + bytes(18)]
+            )
         case _:
             cut = dice.randrange(len(old))
             forged.files[bundle.PARITY_NAME] = old[:cut] + dice.randbytes(40) + old[cut:]
@@ -815,9 +869,15 @@ def folders(dice: random.Random, forged: Forged) -> None:
 def signatures(dice: random.Random, forged: Forged) -> None:
     old = forged.files[bundle.SIGNATURE_NAME]
     tree = json.loads(old)
-    other = {"format": dice.choice([0, 2, None]), "key": dice.choice(["", "ssh-ed25519 AAAA", tree["key"] + " x"]), "signature": dice.choice(TEXTS)}
+    other = {
+        "format": dice.choice([0, 2, None]),
+        "key": dice.choice(["", "ssh-ed25519 AAAA", tree["key"] + " x"]),
+        "signature": dice.choice(TEXTS),
+    }
     key = dice.choice(["key", "signature", "format"])
-    made = dice.choice([{**tree, key: other[key]}, {**tree, "x": 1}, [], None, [tree], {**tree, "signature": tree["signature"][:-8] + "AAAAAA=="}])
+    made = dice.choice(
+        [{**tree, key: other[key]}, {**tree, "x": 1}, [], None, [tree], {**tree, "signature": tree["signature"][:-8] + "AAAAAA=="}]
+    )
     nested = dice.choice([b"[" * 9_000, b'{"x":' * 1_800, b'{"format":1,"key":' + b"[" * 9_000])
     forged.files[bundle.SIGNATURE_NAME] = dice.choice([as_json(made), nested, changed(old, dice), b"", b"x" * 20_000])
     forged.tree["rate_hz"] = forged.tree["rate_hz"] * 2
