@@ -126,7 +126,7 @@ def test_make_and_the_workflow_install_both_from_the_clone() -> None:
 
 
 def test_the_language_knows_the_messages_of_ros_where_the_robot_is_not_installed() -> None:
-    assert ROS_TYPES == tuple(PARTS)
+    assert tuple(PARTS) == ROS_TYPES
 
 
 WITHOUT_ROBOT = """
