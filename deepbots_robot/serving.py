@@ -109,8 +109,8 @@ class Transport:
 
             return RosLink(receives, sends, robot=robot, interface=self.interface, domain=self.domain, about=about)
         except ModuleNotFoundError as error:
-            hint = f'install it with: pip install "deepbots-robot[{extra}]"'
-            raise ServeError(f"{package} is not installed, or lacks {error.name}; {hint}") from None
+            lacks = "" if error.name in (package, extra) else f", or lacks {error.name}"
+            raise ServeError(f'{package} is not installed{lacks}; install it with: pip install "deepbots-robot[{extra}]"') from None
         except ValueError as error:
             raise ServeError(str(error)) from None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -50,6 +51,35 @@ def test_the_check_runs_nothing_that_lies_in_the_folder(folder: Path, tmp_path: 
         pytest.skip("the package is not installed")
     done = subprocess.run([script, "check", "."], cwd=place, capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("module", "package", "words", "extra"),
+    [
+        ("zmq", "pyzmq", ["serve", "BUNDLE", "--zmq", "tcp://127.0.0.1:58798"], "zmq"),
+        ("websockets", "websockets", ["serve", "BUNDLE", "--websocket", "58798"], "websocket"),
+        ("cyclonedds", "cyclonedds", ["serve", "BUNDLE"], "ros"),
+        ("mcap", "mcap", ["serve", "BUNDLE", "--log", "a.mcap"], "log"),
+        ("cryptography", "cryptography", ["check", "BUNDLE", "--trusted", "key.pub"], "sign"),
+    ],
+)
+def test_a_package_that_is_missing_on_the_robot_is_named_with_its_extra(
+    folder: Path, tmp_path: Path, module: str, package: str, words: list[str], extra: str
+) -> None:
+    """A robot was asked to install pyzmq where `deepbots-robot[zmq]` has the version that fits."""
+    pytest.importorskip("cryptography")
+    signed = shutil.copytree(folder, tmp_path / "signed")
+    signature.write_key(tmp_path / "key")
+    (signed / bundle.SIGNATURE_NAME).write_bytes(signature.sign((signed / bundle.BUNDLE_NAME).read_bytes(), tmp_path / "key"))
+    program = f"import sys; sys.modules[{module!r}] = None; from deepbots_robot.__main__ import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", program, *(str(signed) if word == "BUNDLE" else word for word in words)]
+    environment = os.environ | {"PYTHONPATH": str(Path(bundle.__file__).parents[1])}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    assert package in done.stderr
+    assert "is not installed" in done.stderr
+    assert f'pip install "deepbots-robot[{extra}]"' in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize(
