@@ -263,7 +263,7 @@ class Policy:
         self._names = frozenset(entry.name for entry in bundle.info.inputs)
         self._outputs = bundle.output_names
         self._memories = [(entry.name, f"{entry.name}_next") for entry in bundle.info.memory]
-        self._ranges = [(entry.name, *_ends(entry)) for entry in bundle.info.outputs]
+        self._ranges = list(_ranges(bundle.info))
         self._initial = {entry.name: initial_value(entry) for entry in bundle.info.memory}
         self.reset()
 
@@ -301,9 +301,9 @@ class Policy:
         for name, low, high in self._ranges:
             value = found[name]
             if not ((value >= low) & (value <= high)).all():  # also where it is no number
-                if not np.isfinite(value).all():
-                    raise BundleError(f"{GRAPH_NAME} computes a command '{name}' that is not finite")
-                found[name] = np.clip(value, low, high)
+                if not np.isfinite(value).all() or value.dtype.kind == "i":
+                    raise BundleError(f"{GRAPH_NAME} computes '{name}' as {_numbers(value)}")
+                found[name] = np.clip(value, low, high).astype(value.dtype)
         self._calls += 1
         for name, following in self._memories:
             self._memory[name] = found.pop(following)
@@ -316,11 +316,17 @@ class Policy:
         return f"the values do not fit the inputs of the policy: {', '.join(parts)}"
 
 
-def _ends(entry: model.Output) -> tuple[Array, Array]:
-    """The smallest and the largest command of each component; where there is no limit, those of finite numbers."""
+def _ranges(info: BundleInfo) -> Iterator[tuple[str, Array, Array]]:
+    """The smallest and the largest number of each output; where there is no limit, those of finite numbers."""
     limit = np.finfo(np.float64).max
-    low, high = entry.range
-    return np.array([-limit if each is None else each for each in low]), np.array([limit if each is None else each for each in high])
+    for entry in info.outputs:
+        low, high = ([limit * sign if each is None else each for each in ends] for ends, sign in zip(entry.range, (-1, 1), strict=True))
+        yield entry.name, np.array(low), np.array(high)
+    if info.choices:
+        yield "action", np.zeros(info.action_shape), np.array(info.choices).reshape(info.action_shape) - 1
+        yield "scores", np.array(-limit), np.array(limit)
+    else:
+        yield "action", np.array(-1.0), np.array(1.0)
 
 
 def initial_value(entry: model.Memory) -> Array:
