@@ -200,8 +200,10 @@ def test_a_policy_that_counts_its_steps_stays_within_its_range_and_rate(bases: P
     forged.tree["outputs"][0]["max_rate"] = [0.5, 0.5]
     graph.graph.input.append(helper.make_tensor_value_info("count", TensorProto.DOUBLE, [1]))
     output = helper.make_tensor_value_info("count_next", TensorProto.DOUBLE, [1])
-    names = [entry.name for entry in graph.graph.output]
-    graph.graph.output.insert(names.index("action"), output)
+    before = list(graph.graph.output)
+    place = [entry.name for entry in before].index("action")
+    del graph.graph.output[:]
+    graph.graph.output.extend([*before[:place], output, *before[place:]])
     graph.graph.node.append(helper.make_node("Mul", ["count", "growth"], ["count_next"]))
     graph.graph.initializer.append(numpy_helper.from_array(np.array([-1.06]), "growth"))
     forged.set_graph(graph)
@@ -213,12 +215,10 @@ def test_a_policy_that_counts_its_steps_stays_within_its_range_and_rate(bases: P
         shapes={"more": [1]},
     )
     arrays = forged.arrays
-    forged.set_arrays({name: rows[:200] for name, rows in arrays.items() if name != "starts"} | {"starts": np.array([0])})
+    starts = arrays.pop("starts")
+    forged.set_arrays({name: rows[:200] for name, rows in arrays.items()} | {"starts": starts[starts < 200]})
     forged.fit_graph()
-    try:
-        known = _loaded(forged, tmp_path)
-    except BundleError as error:  # it grew too early to be the same as the recording
-        pytest.fail(str(error))
+    known = _loaded(forged, tmp_path)
     policy, limits, last = known.start(), Commands(outputs_of(known.info)), None
     raw = []
     for _ in range(2_000):
@@ -321,7 +321,11 @@ def _many_fields(forged: Forged) -> None:
     entry = {**forged.tree["inputs"][0], "components": [], "joints": [], "range": None, "shape": [1]}
     forged.tree["inputs"] += [{**entry, "name": f"{number:04}" + "x" * 150} for number in range(4_000)]
     graph = forged.graph
-    graph.graph.input.extend([helper.make_tensor_value_info(each["name"], TensorProto.DOUBLE, [1]) for each in forged.tree["inputs"][-4_000:]])
+    more = [helper.make_tensor_value_info(each["name"], TensorProto.DOUBLE, [1]) for each in forged.tree["inputs"][-4_000:]]
+    before = list(graph.graph.input)
+    memories = len(forged.tree["memory"])
+    del graph.graph.input[:]
+    graph.graph.input.extend([*before[:-memories], *more, *before[-memories:]])
     forged.set_graph(graph)
     arrays = {name: rows[:2] for name, rows in forged.arrays.items()} | {"starts": np.array([0])}
     forged.set_arrays(arrays | {f"input/{each['name']}": np.zeros((2, 1)) for each in forged.tree["inputs"][-4_000:]})
