@@ -44,6 +44,8 @@ _MAX_BYTES = 500_000_000
 _CHUNK_BYTES = 1 << 20
 _MAX_DESCRIPTION_BYTES = 1 << 26
 _MAX_RATIO = 10_000
+_MAX_HEADER_BYTES = 20_000
+"""Of an array; numpy reads 10,000."""
 _ENTRY_OF_ARCHIVE = b"PK\x01\x02"
 """The bytes with which an entry of the directory of a zip file begins."""
 
@@ -421,15 +423,16 @@ def read_parity(content: bytes, info: BundleInfo) -> Parity:
 
 
 def _read_array(archive: zipfile.ZipFile, name: str, size: int) -> Array:
+    """An array of numbers, which takes no more memory than its bytes."""
     with archive.open(name) as file:
-        content = io.BytesIO(file.read(size))
-    version = np.lib.format.read_magic(content)
-    header = np.lib.format.read_array_header_1_0(content) if version == (1, 0) else np.lib.format.read_array_header_2_0(content)
-    if model.size_of(header[0]) * header[2].itemsize > size:
-        raise ValueError(f"{name} is shorter than its shape")
-    content.seek(0)
-    found: Array = np.lib.format.read_array(content, allow_pickle=False)
-    return found
+        content = file.read(size)
+    header = io.BytesIO(content[:_MAX_HEADER_BYTES])
+    version = np.lib.format.read_magic(header)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, by_columns, dtype = read_header(header)
+    if dtype.hasobject or len(content) - header.tell() != model.size_of(shape) * dtype.itemsize:
+        raise ValueError(f"{name} has another number of bytes than its shape and type")
+    return np.frombuffer(content, dtype, offset=header.tell()).reshape(shape, order="F" if by_columns else "C")
 
 
 def most_steps(bundle: Bundle) -> int:
