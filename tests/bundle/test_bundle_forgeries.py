@@ -25,8 +25,9 @@ from deepbots_robot import BundleError, bundle, model, onnx_file, signature
 from deepbots_robot.__main__ import main
 from deepbots_robot.server import Commands
 from deepbots_robot.serving import ServeError, inputs_of, mapped, outputs_of
+from tests.bundle.forged import Forged
+from tests.bundle.forged_graphs import fields, varint, written
 from tests.bundle.forgeries import QUICK, prepare
-from tests.bundle.forging import Forged, fields, varint, written
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the limits of processes and their memory are those of Linux")
@@ -43,9 +44,7 @@ def _run(bases: Path, *words: object) -> list[dict[str, Any]]:
     return [json.loads(line) for line in ran.stdout.splitlines()]
 
 
-@pytest.mark.parametrize(
-    ("count", "seed"), [pytest.param(64, 1, id="some"), pytest.param(500, 2, id="many", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("count", "seed"), [pytest.param(64, 1, id="some"), pytest.param(500, 2, id="many", marks=pytest.mark.slow)])
 def test_a_forged_bundle_is_refused_in_a_sentence_or_acts_within_its_limits(bases: Path, tmp_path: Path, count: int, seed: int) -> None:
     outcomes = _run(bases, "--count", count, "--seed", seed, "--keep", tmp_path)
     assert len(outcomes) == count
@@ -73,7 +72,9 @@ def _loaded(forged: Forged, place: Path) -> deepbots_robot.Bundle:
     return deepbots_robot.load(place / "forged")
 
 
-def _command(forged: Forged, *nodes: onnx.NodeProto, weights: dict[str, Any] | None = None, shapes: dict[str, list[int]] | None = None) -> None:
+def _command(
+    forged: Forged, *nodes: onnx.NodeProto, weights: dict[str, Any] | None = None, shapes: dict[str, list[int]] | None = None
+) -> None:
     """The command of the balancer is made by these nodes, of which the last one makes `forged`; the recorded steps are made to fit."""
     graph = forged.graph
     end = next(node for node in graph.graph.node if node.output[0] == "bot.wheels")
@@ -93,7 +94,9 @@ def _command(forged: Forged, *nodes: onnx.NodeProto, weights: dict[str, Any] | N
 
 
 def _values(known: deepbots_robot.Bundle, **changes: Any) -> dict[str, Any]:
-    return {entry.name: np.zeros(entry.shape) for entry in known.info.inputs} | {name.replace("_", "."): value for name, value in changes.items()}
+    return {entry.name: np.zeros(entry.shape) for entry in known.info.inputs} | {
+        name.replace("_", "."): value for name, value in changes.items()
+    }
 
 
 def test_a_model_in_the_format_of_onnxruntime_is_none(bases: Path, tmp_path: Path) -> None:
@@ -172,7 +175,7 @@ def test_a_command_that_is_no_number_is_an_error_and_changes_nothing(bases: Path
 
 
 def test_a_place_beyond_a_table_is_an_error_of_the_bundle(bases: Path, tmp_path: Path) -> None:
-    """onnxruntime's own exception passed through `step`."""
+    """Onnxruntime's own exception passed through `step`."""
     forged = _forged(bases)
     _command(
         forged,
@@ -254,7 +257,15 @@ def test_a_choice_that_is_none_of_the_options_is_an_error(bases: Path, tmp_path:
 )
 def test_a_text_cannot_write_further_lines_of_check(bases: Path, tmp_path: Path, key: str, text: str) -> None:
     forged = _forged(bases)
-    numbers = {"episodes": 1, "seed": 0, "mean_return": 0, "return_interval": None, "success_rate": None, "success_interval": None, "solved": True}
+    numbers = {
+        "episodes": 1,
+        "seed": 0,
+        "mean_return": 0,
+        "return_interval": None,
+        "success_rate": None,
+        "success_interval": None,
+        "solved": True,
+    }
     forged.tree["evaluation"] = {**numbers, key: text}
     forged.fit_graph()
     with pytest.raises(BundleError, match=r"bundle\.json is damaged"):
@@ -411,10 +422,19 @@ def _same_bytes(forged: Forged) -> None:
     body = tail
     for name, plain in reversed(list(entries.items())):
         encoded = name.encode()
-        head = struct.pack("<IHHHIIIHH", 0x04034B50, 20, 0, 8, 0, zlib.crc32(plain), 0, 0, len(encoded))[:26] + struct.pack("<HH", len(encoded), 0) + encoded
+        head = (
+            struct.pack("<IHHHIIIHH", 0x04034B50, 20, 0, 8, 0, zlib.crc32(plain), 0, 0, len(encoded))[:26]
+            + struct.pack("<HH", len(encoded), 0)
+            + encoded
+        )
         body = head + body
         quoted = len(body)
-        directory += struct.pack("<IHHHHIIIIHHHHHII", 0x02014B50, 20, 20, 0, 8, 0, zlib.crc32(plain), quoted, len(plain), len(encoded), 0, 0, 0, 0, 0, 0) + encoded
+        directory += (
+            struct.pack(
+                "<IHHHHIIIIHHHHHII", 0x02014B50, 20, 20, 0, 8, 0, zlib.crc32(plain), quoted, len(plain), len(encoded), 0, 0, 0, 0, 0, 0
+            )
+            + encoded
+        )
     content = body
     end = struct.pack("<IHHHHIIH", 0x06054B50, 0, 0, len(entries), len(entries), len(directory), len(content), 0)
     forged.files[bundle.PARITY_NAME] = content + directory + end

@@ -1,4 +1,4 @@
-"""Floods at a server: other connections neither get the commands of a robot nor take memory; `python -m tests.robot.flood` measures them."""
+"""Floods at a server: other connections neither get commands nor take memory; `python -m tests.robot.flood` measures them."""
 
 from __future__ import annotations
 
