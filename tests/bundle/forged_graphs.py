@@ -10,7 +10,7 @@ import numpy as np
 import onnx
 from onnx import AttributeProto, TensorProto, helper, numpy_helper
 
-from deepbots_robot import bundle
+from deepbots_robot import bundle, onnx_file
 from tests.bundle.forged import TEXTS, Forged
 
 # The wire format of the graph
@@ -127,40 +127,7 @@ def wire(dice: random.Random, forged: Forged) -> None:
 # The graph
 
 OPERATORS = tuple(sorted({schema.name for schema in onnx.defs.get_all_schemas() if not schema.domain}))
-KNOWN = tuple(
-    [
-        "Add",
-        "Sub",
-        "Mul",
-        "Div",
-        "Tanh",
-        "Relu",
-        "Max",
-        "Min",
-        "Identity",
-        "Exp",
-        "Pow",
-        "Mod",
-        "Log",
-        "Sqrt",
-        "Neg",
-        "Where",
-        "Gather",
-        "Reshape",
-        "Slice",
-        "Split",
-        "Concat",
-        "Squeeze",
-        "Transpose",
-        "MatMul",
-        "Gemm",
-        "Conv",
-        "LSTM",
-        "ArgMax",
-        "ReduceSum",
-        "Cast",
-    ]
-)
+KNOWN = tuple(sorted(onnx_file.OPERATORS))
 
 
 def graph_operator(dice: random.Random, forged: Forged) -> None:
