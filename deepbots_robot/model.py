@@ -323,29 +323,39 @@ def _problems(info: BundleInfo) -> Iterator[str]:
     tensors: tuple[Input | Memory | Output, ...] = (*info.inputs, *info.memory, *info.outputs)
     if sum(size_of(tensor.shape) for tensor in tensors) > MAX_NUMBERS:
         yield f"its inputs, memories and commands have more than {MAX_NUMBERS} numbers together"
-    for path in info.files:
-        parts = path.split("/")
-        if any(part in ("", ".", "..") or len(part.encode()) > _MAX_PART for part in parts) or len(parts) > _MAX_PARTS:
-            yield f"'{path}' is no path in a bundle"
+    yield from (f"'{path}' is no path in a bundle" for path in info.files if not _is_path(path))
     for memory in info.memory:
-        if len(memory.initial) not in (1, size_of(memory.shape)):
-            yield f"'{memory.name}' has {len(memory.initial)} initial numbers and {size_of(memory.shape)} in its shape"
-        low, high = _LIMITS.get(memory.dtype, (-1e300, 1e300))
-        is_whole = memory.dtype not in ("float64", "float32")
-        if not all(low <= number <= high and (not is_whole or number == int(number)) for number in memory.initial):
-            yield f"'{memory.name}' has an initial number that is no {memory.dtype}"
+        yield from _wrong_memory(memory)
     for entry in info.inputs:
-        is_picture = len(entry.shape) == 3
-        if len(entry.shape) not in (1, 3) or is_picture != (entry.dtype == "uint8") or (is_picture and entry.range is not None):
-            yield f"'{entry.name}' is neither a row of numbers nor a picture of bytes without a range"
-        yield from _wrong_lengths(entry, {"components": entry.components, "joints": entry.joints})
-        yield from _wrong_range(entry)
-        yield from _twice(entry.name, {"joint": entry.joints})
+        yield from _wrong_input(entry)
     for output in info.outputs:
         yield from _wrong_output(output)
     if any(not part.options and (part.low is None or part.high is None or part.low >= part.high) for part in info.action):
         yield "a part of the action has neither options nor a range"
     yield from _wrong_topics(info)
+
+
+def _is_path(path: str) -> bool:
+    parts = path.split("/")
+    return len(parts) <= _MAX_PARTS and all(part not in ("", ".", "..") and len(part.encode()) <= _MAX_PART for part in parts)
+
+
+def _wrong_memory(memory: Memory) -> Iterator[str]:
+    if len(memory.initial) not in (1, size_of(memory.shape)):
+        yield f"'{memory.name}' has {len(memory.initial)} initial numbers and {size_of(memory.shape)} in its shape"
+    low, high = _LIMITS.get(memory.dtype, (-1e300, 1e300))
+    is_whole = memory.dtype not in ("float64", "float32")
+    if not all(low <= number <= high and (not is_whole or number == int(number)) for number in memory.initial):
+        yield f"'{memory.name}' has an initial number that is no {memory.dtype}"
+
+
+def _wrong_input(entry: Input) -> Iterator[str]:
+    is_picture = len(entry.shape) == 3
+    if len(entry.shape) not in (1, 3) or is_picture != (entry.dtype == "uint8") or (is_picture and entry.range is not None):
+        yield f"'{entry.name}' is neither a row of numbers nor a picture of bytes without a range"
+    yield from _wrong_lengths(entry, {"components": entry.components, "joints": entry.joints})
+    yield from _wrong_range(entry)
+    yield from _twice(entry.name, {"joint": entry.joints})
 
 
 def _wrong_topics(info: BundleInfo) -> Iterator[str]:

@@ -83,7 +83,8 @@ class WebSocketLink(MessageLink):
                 self._server.socket.settimeout(_LOOK)
             except OSError as error:
                 raise ValueError(f"{self.name} cannot be opened: {(error.strerror or 'unknown reason').lower()}") from None
-            threading.Thread(target=self._accept, daemon=True).start()
+            self._accepting = threading.Thread(target=self._accept, daemon=True)
+            self._accepting.start()
 
     def _accept(self) -> None:
         """Take connections, in a thread of its own, until the link is closed.
@@ -168,6 +169,10 @@ class WebSocketLink(MessageLink):
 
     def close(self) -> None:
         self._is_closed = True
+        if self._server is not None:
+            with suppress(OSError):
+                self._server.socket.shutdown(socket.SHUT_RDWR)  # ends the wait for a connection, which keeps the port
+            self._accepting.join(2 * _LOOK)
         with suppress(WebSocketException, OSError):
             if self._server is not None:
                 self._server.shutdown()

@@ -42,7 +42,8 @@ from deepbots_robot.link import Arrival
 from deepbots_robot.server import Commands, Server
 from deepbots_robot.serving import ServeError, inputs_of, mapped, outputs_of
 from deepbots_robot.topics import Topic
-from tests.bundle.forging import AREAS, SIGNATURE_AREAS, Forged
+from tests.bundle.forged import Forged
+from tests.bundle.forging import AREAS, SIGNATURE_AREAS
 
 BASES: Mapping[str, tuple[str, ...]] = {
     "balancer": ("balancer",),
