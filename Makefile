@@ -66,6 +66,10 @@ results: dev ## the pages of results and the benchmark: what is missing or stale
 package: dev ## sdists and wheels, used in new environments; downloads nothing
 	$(BIN)/python -m tests.packaging.clean
 
+.PHONY: release
+release: dev ## what goes to a package index, in dist: built, checked, installed elsewhere, trained; REPOSITORY=https://HOST/OWNER/NAME
+	$(BIN)/python -m tests.packaging.release $(or $(REPOSITORY),missing) $(OPTIONS)
+
 .PHONY: docs
 docs: $(VENV)/ready-for-docs ## the site in build/docs; a warning of Sphinx is an error
 	$(BIN)/python docs/build_site.py

@@ -36,11 +36,16 @@ _MAX_GRAPH_BYTES = 100_000_000
 _MAX_PARITY_BYTES = 100_000_000
 """Packed and unpacked."""
 _MAX_PARITY_OPERATIONS = 4_000_000_000
-"""Operations of all recorded steps together, which take some seconds."""
+"""Operations of all recorded steps together, which take at most 1.6 s."""
+_STEP_OPERATIONS, _FIELD_OPERATIONS = 100_000, 10_000
+"""What Python does in a step, and for each input, memory and command in it, as operations of the graph."""
 _MAX_BYTES = 500_000_000
 """All files of a bundle together."""
+_CHUNK_BYTES = 1 << 20
 _MAX_DESCRIPTION_BYTES = 1 << 26
 _MAX_RATIO = 10_000
+_ENTRY_OF_ARCHIVE = b"PK\x01\x02"
+"""The bytes with which an entry of the directory of a zip file begins."""
 
 Array = NDArray[Any]
 _NUMPY_TYPES = {"float64": np.float64, "float32": np.float32, "int64": np.int64, "bool": np.bool_, "uint8": np.uint8}
@@ -78,11 +83,13 @@ def load(folder: str | Path, *, trusted: str | Path | Sequence[str] | None = Non
             raise BundleError(f"{BUNDLE_NAME} has no digest of {missing}")
         _check_sizes(folder, info)
         for name in info.files.keys() - {GRAPH_NAME, PARITY_NAME}:
-            _exported(folder, info, name, _MAX_BYTES)
+            _check_digest(folder, info, name)
+        if model.encode(info) != description:  # a key that occurs twice, which other readers may read otherwise
+            raise BundleError(f"{BUNDLE_NAME} is not written as an export writes it")
         bundle = Bundle(info, _exported(folder, info, GRAPH_NAME, _MAX_GRAPH_BYTES), folder)
         replay(bundle, read_parity(_exported(folder, info, PARITY_NAME, _MAX_PARITY_BYTES), info))
-    except BundleError as error:
-        raise BundleError(f"{folder}: {error}; export the run again") from error
+    except (BundleError, OSError) as error:  # an OSError is of a name that the file system does not take, or of a folder without rights
+        raise BundleError(f"{folder}: {_one_line(error, 1000)}; export the run again") from error
     return bundle
 
 
@@ -107,6 +114,17 @@ def _check_sizes(folder: Path, info: BundleInfo) -> None:
         sizes += _regular_file(folder, name).stat().st_size
     if sizes > _MAX_BYTES:
         raise BundleError(f"its files have more than {_MAX_BYTES} bytes together")
+
+
+def _check_digest(folder: Path, info: BundleInfo, name: str) -> None:
+    """Compare a file that is not needed here with its digest. Raises: BundleError: It is missing, or another one."""
+    digest, left = hashlib.sha256(), _MAX_BYTES
+    with _regular_file(folder, name).open("rb") as file:
+        while left > 0 and (content := file.read(_CHUNK_BYTES)):
+            digest.update(content)
+            left -= len(content)
+    if digest.hexdigest() != info.files[name]:
+        raise BundleError(f"{name} is not the file that was exported")
 
 
 def _exported(folder: Path, info: BundleInfo, name: str, most: int) -> bytes:
@@ -160,6 +178,8 @@ class Bundle:
         options = onnxruntime.SessionOptions()
         options.add_session_config_entry("session.strict_shape_type_inference", "1")  # else another shape is a warning
         options.intra_op_num_threads = options.inter_op_num_threads = 1  # a small network takes longer on several threads
+        # Else a model whose bytes 4 to 7 are "ORTM" is read as the format of onnxruntime, in which these checks see another graph.
+        options.add_session_config_entry("session.load_model_format", "ONNX")
         options.log_severity_level = 4  # what onnxruntime writes to the terminal is raised as well
         try:
             self.session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"], enable_fallback=False)
@@ -243,6 +263,7 @@ class Policy:
         self._names = frozenset(entry.name for entry in bundle.info.inputs)
         self._outputs = bundle.output_names
         self._memories = [(entry.name, f"{entry.name}_next") for entry in bundle.info.memory]
+        self._ranges = [(entry.name, *_ends(entry)) for entry in bundle.info.outputs]
         self._initial = {entry.name: initial_value(entry) for entry in bundle.info.memory}
         self.reset()
 
@@ -262,16 +283,28 @@ class Policy:
 
         Raises:
             InputError: A value is missing, unknown, of another shape or kind, or not finite.
+            BundleError: The graph cannot compute with these values, or computes a command that is not finite. Like after an
+                InputError, the memory of the policy has not changed.
         """
         if values.keys() != self._names:
             raise InputError(self._wrong_names(values))
         feeds = dict(self._memory)
         for name, shape, kind in self._inputs:
             feeds[name] = _fitting(name, values[name], shape, kind)
-        self._calls += 1
-        if (self._calls - 1) % self._every:
+        if self._calls % self._every:
+            self._calls += 1
             return {name: value.copy() for name, value in self._last.items()}
-        found = dict(zip(self._outputs, self._run(None, feeds), strict=True))
+        try:
+            found = dict(zip(self._outputs, self._run(None, feeds), strict=True))
+        except Exception as error:  # of onnxruntime, such as a place beyond the end of a table
+            raise BundleError(f"{GRAPH_NAME} cannot compute with these values: {_one_line(error)}") from error
+        for name, low, high in self._ranges:
+            value = found[name]
+            if not ((value >= low) & (value <= high)).all():  # also where it is no number
+                if not np.isfinite(value).all():
+                    raise BundleError(f"{GRAPH_NAME} computes a command '{name}' that is not finite")
+                found[name] = np.clip(value, low, high)
+        self._calls += 1
         for name, following in self._memories:
             self._memory[name] = found.pop(following)
         self._last = found if self._every == 1 else {name: value.copy() for name, value in found.items()}
@@ -281,6 +314,13 @@ class Policy:
         missing, unknown = sorted(self._names - values.keys()), sorted(map(str, values.keys() - self._names))
         parts = [f"{len(names)} {what} ({', '.join(names[:5])})" for what, names in (("missing", missing), ("unknown", unknown)) if names]
         return f"the values do not fit the inputs of the policy: {', '.join(parts)}"
+
+
+def _ends(entry: model.Output) -> tuple[Array, Array]:
+    """The smallest and the largest command of each component; where there is no limit, those of finite numbers."""
+    limit = np.finfo(np.float64).max
+    low, high = entry.range
+    return np.array([-limit if each is None else each for each in low]), np.array([limit if each is None else each for each in high])
 
 
 def initial_value(entry: model.Memory) -> Array:
@@ -303,7 +343,8 @@ def _fitting(name: str, value: Any, shape: tuple[int, ...], kind: type[Any]) -> 
     if array.dtype == kind:
         pass
     elif kind in (np.float64, np.float32) and array.dtype.kind in "iuf":
-        array = array.astype(kind)
+        with np.errstate(over="ignore"):  # is refused below
+            array = array.astype(kind)
     else:
         raise InputError(f"the value of '{name}' is of the type {array.dtype}; it must be {np.dtype(kind).name}")
     if array.dtype.kind == "f" and not np.isfinite(array).all():
@@ -336,8 +377,14 @@ def read_parity(content: bytes, info: BundleInfo) -> Parity:
     wanted = {f"input/{entry.name}": entry for entry in info.inputs} | {f"output/{entry.name}": entry for entry in info.outputs}
     names = {*wanted, "output/action", "starts", *(["output/scores"] if info.choices else [])}
     try:
+        if content.count(_ENTRY_OF_ARCHIVE) > 2 * len(names) + 100:  # each of millions of entries would become an object
+            raise BundleError(f"{PARITY_NAME} has more entries than {BUNDLE_NAME} has fields")
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             sizes = {entry.filename: entry.file_size for entry in archive.infolist()}
+            if any(entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for entry in archive.infolist()):
+                raise BundleError(f"{PARITY_NAME} is compressed otherwise than by an export")  # LZMA takes as much memory as the file says
+            if sum(entry.compress_size for entry in archive.infolist()) > len(content):
+                raise BundleError(f"{PARITY_NAME} has arrays in the same bytes")
             if len(sizes) != len(archive.infolist()):
                 raise BundleError(f"{PARITY_NAME} has two arrays with one name")
             if sum(sizes.values()) > _MAX_PARITY_BYTES:
@@ -379,6 +426,13 @@ def _read_array(archive: zipfile.ZipFile, name: str, size: int) -> Array:
     return found
 
 
+def most_steps(bundle: Bundle) -> int:
+    """How many recorded steps may be repeated when a bundle is loaded."""
+    info = bundle.info
+    python = _STEP_OPERATIONS + _FIELD_OPERATIONS * (len(info.inputs) + 2 * len(info.memory) + len(info.outputs))
+    return _MAX_PARITY_OPERATIONS // (bundle.operations + python)
+
+
 def replay(bundle: Bundle, parity: Parity) -> None:
     """Repeat recorded steps.
 
@@ -386,7 +440,7 @@ def replay(bundle: Bundle, parity: Parity) -> None:
         BundleError: A command or a score differs by more than 1e-5 of its range, or another option is chosen although its score is
             smaller by more than 1e-5; or the graph cannot be run.
     """
-    if parity.steps * bundle.operations > _MAX_PARITY_OPERATIONS:
+    if parity.steps > most_steps(bundle):
         raise BundleError(f"the {parity.steps} recorded steps take more than {_MAX_PARITY_OPERATIONS:,} operations")
     policy = bundle.start()
     starts, skipping = set(parity.starts), False
@@ -399,8 +453,8 @@ def replay(bundle: Bundle, parity: Parity) -> None:
             found = policy.step({name: rows[step] for name, rows in parity.inputs.items()})
         except InputError as error:
             raise BundleError(f"step {step} in {PARITY_NAME}: {error}") from error
-        except Exception as error:
-            raise BundleError(f"{GRAPH_NAME} fails in step {step} of {PARITY_NAME}: {_one_line(error)}") from error
+        except BundleError as error:
+            raise BundleError(f"step {step} in {PARITY_NAME}: {error}") from error
         wanted = {name: rows[step] for name, rows in parity.outputs.items()}
         if skipping or _are_tied(bundle.info.choices, found, wanted):
             skipping = True  # the commands are those of another option, and what follows may depend on them
@@ -437,5 +491,7 @@ def _numbers(array: Array) -> str:
     return ", ".join(f"{number:.6g}" for number in np.atleast_1d(array).tolist()[:6])
 
 
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__
+def _one_line(error: BaseException, most: int = 200) -> str:
+    """The text of an error without characters that a terminal obeys; names in a graph are part of it."""
+    text = " ".join(str(error).split())[:most] or type(error).__name__
+    return "".join(letter if letter.isprintable() else "?" for letter in text)

@@ -7,10 +7,14 @@
 A reset may have what the robot says about itself, as `about`; the policy answers with a message of the same kind, so that each end can
 say what does not fit. Of an end that does not fit nothing is used.
 Values that the robot cannot measure may come in messages of the robot `supervisor`. A picture is its bytes, rows first, in JSON in base64.
+
+A policy takes the messages of one connection, the first that sends a readable one, until it is silent for `HELD` s. Those of other
+connections are dropped unread, so they neither delay nor change what the robot gets.
 """
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
@@ -24,7 +28,9 @@ from deepbots_robot.link import MAX_BYTES, Array, Arrival
 from deepbots_robot.topics import MAX_NUMBERS, Field
 
 SUPERVISOR = "supervisor"
-_CROWDED = Remark("two robots send to this policy, which answers the one that came last; start a policy for each of them")
+HELD = 1.0
+"""Seconds of silence after which a policy takes the messages of another connection; of a slow policy, three periods."""
+_CROWDED = Remark("another program sends to this policy, which takes only what the first one sends; start a policy for each robot")
 
 Name = Annotated[str, Meta(max_length=200)]
 Row = Annotated[list[float], Meta(max_length=MAX_NUMBERS)]
@@ -74,9 +80,9 @@ def write(
 
 _NUMBER_BYTES, _NAME_BYTES = 26, 1300
 """The longest number of JSON with its comma, and the longest name with its escapes."""
-_OTHER_BYTES = 65_536
+_OTHER_BYTES = 16_384
 """Robot, stamp, reset, and what an end says about itself."""
-_WAITING_BYTES = 8 << 20
+_WAITING_BYTES = 1 << 20
 """Messages of one connection that wait to be read; more are dropped, the oldest first, or wait in the sockets."""
 
 
@@ -98,8 +104,10 @@ class MessageLink(ABC):
         self._is_crowded = False
         self._packed = False
         self._longest = longest_message(receives, self._about)
-        self._most_waiting = max(16, min(1024, _WAITING_BYTES // self._longest))
+        self._most_waiting = max(4, min(256, _WAITING_BYTES // self._longest))
         """Messages of one connection that wait to be read."""
+        self._held = max(HELD, 3.0 / about.rate) if about is not None and about.rate else HELD
+        self._heard_at = -self._held
         self._robots: dict[str, list[str]] = {}
         """The names of the fields by the robot of their message."""
         for field in sends:
@@ -124,10 +132,14 @@ class MessageLink(ABC):
         self._write(write(next(iter(self._robots), SUPERVISOR), {}, stamp, packed=self._packed, reset=reset, about=self._about))
 
     def _received(self, content: bytes, sender: Any = None) -> Sequence[Arrival]:
-        """A message, unless it is of an end that does not fit, or only says what that end is."""
+        """A message, unless it is of another connection, of an end that does not fit, or only says what that end is."""
+        if not self._is_taken(sender):
+            self._is_crowded = True
+            return []
         arrival = read(content, self._fields)
         if not arrival.problem:  # bytes that are no message change neither who is answered nor how
             self._packed = content[:1] != b"{"
+            self._heard_at = time.monotonic()
             self._answer(sender)
         if self._about is not None and arrival.about is not None:
             self._other = arrival.about
@@ -139,6 +151,14 @@ class MessageLink(ABC):
         is_useless = any(remark.is_misfit for remark in self._remarks)
         is_introduction = arrival.about is not None and arrival.kind == "fields" and not arrival.fields
         return [] if is_useless or is_introduction else [arrival]
+
+    def _is_taken(self, sender: Any) -> bool:
+        """Whether the messages of this connection are read now."""
+        return self._is_answered(sender) or time.monotonic() - self._heard_at >= self._held
+
+    @abstractmethod
+    def _is_answered(self, sender: Any) -> bool:
+        """Whether this is the connection to which messages are sent; also where there is none."""
 
     @abstractmethod
     def _answer(self, sender: Any) -> None:

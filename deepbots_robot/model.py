@@ -21,6 +21,8 @@ MAX_FIELDS = 4096
 MAX_NUMBERS = 4_000_000
 """Numbers in all inputs, memories and commands together: an image of 1024 x 1280 pixels in three colors."""
 MAX_FILES = 4096
+_MAX_PARTS, _MAX_PART = 20, 255
+"""Folders of a path, and the bytes of a name that a file system takes."""
 
 
 class BundleError(Exception):
@@ -31,11 +33,14 @@ class InputError(ValueError):
     """The values given to `Policy.step` do not fit the inputs of the bundle; the memory of the policy has not changed."""
 
 
-# Values that occur in several records
+# Values that occur in several records. A terminal obeys control characters, and Unicode has some that turn the order of a line around.
+# In Python `$` is also the place before a line end.
 
-Name = Annotated[str, Meta(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
-Text = Annotated[str, Meta(max_length=2000)]
-Digest = Annotated[str, Meta(pattern="^[0-9a-f]{64}$", description="SHA-256 in hexadecimal.")]
+_HIDDEN = r"\x7f-\x9f\u2028-\u202e\u2066-\u2069"
+Name = Annotated[str, Meta(min_length=1, max_length=200, pattern=rf"^[^\x00-\x1f{_HIDDEN}]+$(?!\n)")]
+Line = Annotated[str, Meta(max_length=2000, pattern=rf"^[^\x00-\x1f{_HIDDEN}]*$(?!\n)")]
+Text = Annotated[str, Meta(max_length=2000, pattern=rf"^[^\x00-\x08\x0b-\x1f{_HIDDEN}]*$")]
+Digest = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}$(?!\n)", description="SHA-256 in hexadecimal.")]
 Finite = Annotated[float, Meta(ge=-1e300, le=1e300)]
 Positive = Annotated[float, Meta(gt=0, le=1e12)]
 NotNegative = Annotated[float, Meta(ge=0, le=1e12)]
@@ -45,7 +50,7 @@ Numbers = Annotated[tuple[Finite, ...], Meta(max_length=MAX_FIELDS)]
 Limits = Annotated[tuple[NotNegative | None, ...], Meta(max_length=MAX_FIELDS)]
 Rate = Annotated[float, Meta(ge=0.01, le=10_000)]
 Seconds = Annotated[float, Meta(ge=0, le=1e6)]
-FileName = Annotated[str, Meta(min_length=1, max_length=500, pattern=r"^[^\x00-\x1f\x7f\\:]+$")]
+FileName = Annotated[str, Meta(min_length=1, max_length=500, pattern=rf"^[^\x00-\x1f{_HIDDEN}\\:]+$(?!\n)")]
 Bounds = Annotated[tuple[Finite | None, ...], Meta(max_length=MAX_FIELDS)]
 Triple = tuple[Finite, Finite, Finite]
 DType = Literal["float64", "float32", "int64", "bool", "uint8"]
@@ -88,7 +93,7 @@ class Input(Record, frozen=True):
     name: Name
     robot: Name | None
     source: Literal["sensor", "supervisor", "goal"]
-    supplied_by: Text | None
+    supplied_by: Line | None
     sensor: Name | None
     joints: Names
     link: Name | None
@@ -96,7 +101,7 @@ class Input(Record, frozen=True):
     shape: Shape
     dtype: DType
     components: Names
-    unit: Text
+    unit: Line
     frame: Name | None
     range: tuple[Bounds, Bounds] | None
     rate_hz: Annotated[float, Meta(ge=1e-6, le=1e6)]
@@ -144,7 +149,7 @@ class Output(Record, frozen=True):
     shape: Shape
     dtype: Literal["float64"]
     components: Names
-    unit: Text
+    unit: Line
     frame: Name | None
     range: tuple[Bounds, Bounds]
     max_rate: Limits
@@ -159,7 +164,7 @@ class ActionPart(Record, frozen=True):
     """A part of the output `action`: a choice, with what each option sets, or a number of which -1 and 1 mean a range."""
 
     name: Name
-    unit: Text = ""
+    unit: Line = ""
     low: Finite | None = None
     high: Finite | None = None
     options: dict[Name, dict[Name, Finite]] = {}
@@ -193,18 +198,18 @@ class Scenario(Record, frozen=True):
 class Training(Record, frozen=True):
     """How the policy was trained; `model` is the name of its file in the run, such as `best`; `versions` are those of packages."""
 
-    algorithm: Text
+    algorithm: Line
     model: Name
     seed: int
     steps: int | None
-    engine: Text
-    versions: dict[Name, Text]
+    engine: Line
+    versions: dict[Name, Line]
 
 
 class Evaluation(Record, frozen=True):
     """The result on held-out episodes, with 95 % intervals; `text` says the same in a sentence."""
 
-    text: Text
+    text: Line
     episodes: int
     seed: int
     mean_return: Finite
@@ -217,7 +222,7 @@ class Evaluation(Record, frozen=True):
 class RosTopic(Record, frozen=True):
     """The ROS 2 topic of an input or an output; `part` is the part of its messages, null for the one that fits."""
 
-    topic: Annotated[str, Meta(max_length=128, pattern="^/[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*$")]
+    topic: Annotated[str, Meta(max_length=128, pattern=r"^/[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*$(?!\n)")]
     type: Name
     part: Name | None
 
@@ -258,6 +263,10 @@ class BundleInfo(Record, frozen=True):
     def choices(self) -> tuple[int, ...]:
         """The number of options of each choice, in order."""
         return tuple(len(part.options) for part in self.action if part.options)
+
+
+_LIMITS = {"float32": (-3.4e38, 3.4e38), "int64": (-(2.0**53), 2.0**53), "bool": (0, 1), "uint8": (0, 255)}
+"""The least and the largest number of a type."""
 
 
 class _Format(msgspec.Struct):
@@ -315,12 +324,20 @@ def _problems(info: BundleInfo) -> Iterator[str]:
     if sum(size_of(tensor.shape) for tensor in tensors) > MAX_NUMBERS:
         yield f"its inputs, memories and commands have more than {MAX_NUMBERS} numbers together"
     for path in info.files:
-        if any(part in ("", ".", "..") for part in path.split("/")):
+        parts = path.split("/")
+        if any(part in ("", ".", "..") or len(part.encode()) > _MAX_PART for part in parts) or len(parts) > _MAX_PARTS:
             yield f"'{path}' is no path in a bundle"
     for memory in info.memory:
         if len(memory.initial) not in (1, size_of(memory.shape)):
             yield f"'{memory.name}' has {len(memory.initial)} initial numbers and {size_of(memory.shape)} in its shape"
+        low, high = _LIMITS.get(memory.dtype, (-1e300, 1e300))
+        is_whole = memory.dtype not in ("float64", "float32")
+        if not all(low <= number <= high and (not is_whole or number == int(number)) for number in memory.initial):
+            yield f"'{memory.name}' has an initial number that is no {memory.dtype}"
     for entry in info.inputs:
+        is_picture = len(entry.shape) == 3
+        if len(entry.shape) not in (1, 3) or is_picture != (entry.dtype == "uint8") or (is_picture and entry.range is not None):
+            yield f"'{entry.name}' is neither a row of numbers nor a picture of bytes without a range"
         yield from _wrong_lengths(entry, {"components": entry.components, "joints": entry.joints})
         yield from _wrong_range(entry)
         yield from _twice(entry.name, {"joint": entry.joints})

@@ -8,7 +8,7 @@ and after a message that is wrong.
 from __future__ import annotations
 
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -30,6 +30,8 @@ _LOOK = 1.0
 QUIET = 5.0
 """Seconds without a value in lockstep, or without a first step, after which the server prints a remark."""
 _MOST_REMARKS = 100
+_MOST_ANSWERS = 100_000
+"""Answer times that are kept, so that the server takes no more memory the longer it runs."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,8 @@ class Server:
         self.intake = Intake(inputs, None if lockstep else speed)
         self.commands = Commands(outputs)
         self.link = link
-        self.answers: list[float] = []
+        self.answers: deque[float] = deque(maxlen=_MOST_ANSWERS)
+        """The newest times from values to commands, in s."""
         self.steps = self.safe_steps = self.held_steps = self.episodes = 0
         self.faults: Counter[str] = Counter()
         """How often the robot went into the safe posture, by kind of reason."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import signal
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from deepbots_robot.log import LogWriter
 
 MAX_SPEED = 1000.0
+_MOST_EVENTS = 100
+"""Events of a kind in the log for each second: a flood of wrong messages would fill the disk."""
 
 
 class ServeError(Exception):
@@ -196,6 +199,9 @@ def mapped(fields: Sequence[Field], given: Mapping[str, Topic], *, commands: boo
         ServeError: Two fields cannot share a topic, or a field does not fit.
     """
     topics = {**first_mapping(fields, commands=commands), **given}
+    without = next((field.name for field in fields if field.name not in topics), None)
+    if without is not None:
+        raise ServeError(f"no topic fits {without}; name its topic under `ros` in the scenario, and export the run again")
     found = {field.name: (field, topics[field.name]) for field in fields}
     try:
         problems = conflicts(found)
@@ -290,6 +296,8 @@ class Notes:
     def __init__(self, log: LogWriter | None, note: Callable[[str], object]) -> None:
         self._log, self._note = log, note
         self._said: dict[str, float] = {}
+        self._logged: Counter[str] = Counter()
+        self._second = 0
 
     def step(self, *step: Any, **rest: Any) -> None:
         """The same arguments as `LogWriter.step`."""
@@ -297,9 +305,13 @@ class Notes:
             self._log.step(*step, **rest)
 
     def event(self, stamp: float, kind: str, text: str) -> None:
-        if self._log is not None:
-            self._log.event(stamp, kind, text)
         now = time.monotonic()
+        if int(now) != self._second:
+            self._second = int(now)
+            self._logged.clear()
+        self._logged[kind] += 1
+        if self._log is not None and self._logged[kind] <= _MOST_EVENTS:
+            self._log.event(stamp, kind, text)
         if kind == "remark" or (kind != "episode" and now - self._said.get(kind, -10.0) > 1.0):
             self._said[kind] = now
             self._note({"safe": "safe posture: ", "refused": "refused: "}.get(kind, "") + text)

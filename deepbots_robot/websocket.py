@@ -1,13 +1,18 @@
 """The link over WebSocket: the messages of `zeromq.py`, JSON as text and MessagePack as binary frames.
 
-The policy listens on a port, and a robot connects to it. Pages of a browser are refused: they would send an origin.
+The policy listens on a port, and a robot connects to it. Pages of a browser are refused: they would send an origin. Each connection has
+threads and a buffer, so there are `MOST_CONNECTIONS` at most: a new one ends the oldest of those that the policy does not answer.
 """
 
 from __future__ import annotations
 
 import logging
 import re
+import socket
+import struct
+import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
@@ -25,6 +30,17 @@ from deepbots_robot.topics import Field
 _SILENT = logging.getLogger(__name__)  # websockets writes a traceback for each connection that is no WebSocket
 _SILENT.addHandler(logging.NullHandler())
 _SILENT.propagate = False
+
+
+MOST_CONNECTIONS = 8
+_PAUSE = 0.02
+"""Seconds between connections where there are too many, so that opening them takes little of the CPU."""
+_LOOK = 0.5
+"""Seconds after which a wait for a connection looks whether the link is closed."""
+_OPENING = 2.0
+"""Seconds within which a connection must become a WebSocket."""
+_SENDING = 0.5
+"""Seconds after which a robot that does not read is given up."""
 
 
 class WebSocketLink(MessageLink):
@@ -49,18 +65,69 @@ class WebSocketLink(MessageLink):
         """Messages with their connections; the oldest are dropped."""
         self._here = threading.Event()
         self._server: Any = None
+        self._open: dict[socket.socket, None] = {}
+        """The connections of a policy, the oldest first."""
+        self._is_closed = False
         if not robot:
             try:
                 settings: dict[str, Any] = {"max_size": self._longest, "max_queue": 1, "compression": None, "logger": _SILENT}
-                self._server = serve(self._listen, self._host, self._port, origins=[None], **settings)
+                self._server = serve(
+                    self._listen,
+                    self._host,
+                    self._port,
+                    origins=[None],
+                    open_timeout=_OPENING,
+                    close_timeout=_OPENING,
+                    **settings,
+                )
+                self._server.socket.settimeout(_LOOK)
             except OSError as error:
                 raise ValueError(f"{self.name} cannot be opened: {(error.strerror or 'unknown reason').lower()}") from None
-            threading.Thread(target=self._server.serve_forever, daemon=True).start()
+            threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        """Take connections, in a thread of its own, until the link is closed.
+
+        `serve_forever` of websockets starts a thread for each connection at once, and ends when there are no more files to open.
+        """
+        while not self._is_closed:
+            try:
+                connection, address = self._server.socket.accept()
+            except OSError:  # nobody came, the other end is gone again, or there are too many open files
+                time.sleep(_PAUSE)
+                continue
+            if len(self._open) >= MOST_CONNECTIONS:
+                self._end_oldest()
+                time.sleep(_PAUSE)
+            if len(self._open) < MOST_CONNECTIONS:
+                self._open[connection] = None
+                threading.Thread(target=self._handle, args=(connection, address), daemon=True).start()
+            else:
+                connection.close()
+
+    def _end_oldest(self) -> None:
+        """End the oldest connection that the policy does not answer."""
+        kept = getattr(self._peer, "socket", None)
+        oldest = next(each for each in list(self._open) if each is not kept)
+        with suppress(OSError):
+            oldest.shutdown(socket.SHUT_RDWR)
+
+    def _handle(self, connection: socket.socket, address: Any) -> None:
+        try:
+            self._server.handler(connection, address)
+        finally:
+            self._open.pop(connection, None)
 
     def _listen(self, peer: Any) -> None:
         """Take the messages of a connection, in a thread of its own, until it ends."""
         with suppress(WebSocketException, OSError):
+            if sys.platform != "win32":
+                peer.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", 0, int(_SENDING * 1e6)))
             for content in peer:
+                if not self._is_taken(peer):  # its messages would take the place of those of the robot
+                    self._is_crowded = True
+                    peer.close(1013, "the policy acts for another robot")
+                    return
                 self._waiting.append((peer, content))
                 self._here.set()
         if self._peer is peer:
@@ -78,9 +145,11 @@ class WebSocketLink(MessageLink):
             found += self._received(content.encode() if isinstance(content, str) else content, peer)
         return found
 
+    def _is_answered(self, sender: Any) -> bool:
+        return self._robot or self._peer is None or sender is self._peer
+
     def _answer(self, sender: Any) -> None:
-        if not self._robot and sender is not self._peer:
-            self._is_crowded |= self._peer is not None
+        if not self._robot:
             self._peer = sender
 
     def _write(self, content: bytes) -> None:
@@ -98,6 +167,7 @@ class WebSocketLink(MessageLink):
         return self._peer is not None
 
     def close(self) -> None:
+        self._is_closed = True
         with suppress(WebSocketException, OSError):
             if self._server is not None:
                 self._server.shutdown()

@@ -1,5 +1,7 @@
 """The link over ZeroMQ: the policy has a ROUTER socket and answers in the format of the last message, a robot has a DEALER socket.
 
+A ROUTER takes the messages of its connections in turn, so a flood in one of them delays another one by a message.
+
 `messages.py` describes the messages.
 """
 
@@ -21,7 +23,10 @@ from deepbots_robot.messages import MessageLink
 from deepbots_robot.topics import Field
 
 ADDRESS = r"tcp://[A-Za-z0-9_.*:\[\]-]{1,255}:[0-9]{1,5}|ipc://[^\x00]{1,100}"
-_TAKEN = 256
+_TAKEN = 64
+"""Messages that are taken before the policy may act."""
+_MOST_SENT = 64
+"""Commands that wait for a robot that does not read."""
 
 
 class ZmqLink(MessageLink):
@@ -39,13 +44,14 @@ class ZmqLink(MessageLink):
             raise ValueError(f"'{address[:100]}' is no address of ZeroMQ; write one like tcp://127.0.0.1:5555")
         self.name = f"ZeroMQ at {address}"
         super().__init__(receives, sends, about)
-        self._robot, self._peer, self._former = robot, b"", b""
+        self._robot, self._peer = robot, b""
         if not robot and _is_taken(address):  # ZeroMQ would take the address away from the other policy
             raise ValueError(f"{address} cannot be opened: address already in use")
         self._socket: Any = zmq.Context.instance().socket(zmq.DEALER if robot else zmq.ROUTER)
         self._socket.setsockopt(zmq.LINGER, 1000)
         self._socket.setsockopt(zmq.MAXMSGSIZE, self._longest)
         self._socket.setsockopt(zmq.RCVHWM, self._most_waiting)
+        self._socket.setsockopt(zmq.SNDHWM, _MOST_SENT)
         try:
             if robot:
                 self._socket.setsockopt(zmq.IMMEDIATE, 1)  # nothing waits for a policy that is not there
@@ -66,13 +72,16 @@ class ZmqLink(MessageLink):
                 *sender, content = self._socket.recv_multipart(zmq.NOBLOCK)
             except zmq.Again:
                 break
-            found += self._received(content, sender)
+            if self._robot or sender:
+                found += self._received(content, sender)
         return found
 
+    def _is_answered(self, sender: Any) -> bool:
+        return self._robot or not self._peer or sender[0] == self._peer
+
     def _answer(self, sender: Any) -> None:
-        if not self._robot and sender[0] != self._peer:
-            self._is_crowded |= sender[0] == self._former
-            self._former, self._peer = self._peer, sender[0]
+        if not self._robot:
+            self._peer = sender[0]
 
     def _write(self, content: bytes) -> None:
         with suppress(zmq.ZMQError):  # nobody is there, or does not read

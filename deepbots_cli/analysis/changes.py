@@ -67,7 +67,7 @@ class WrittenScenario:
 class Change:
     """`one` and `other` are the texts of both sides.
 
-    Where they are the same, `through` has the parameters that differ in them, and the texts of each on both sides.
+    `through` has the parameters and poses of robots in them that differ, and the texts of each on both sides.
     """
 
     path: str
@@ -79,27 +79,29 @@ class Change:
 
     @property
     def lines(self) -> list[str]:
-        """The texts of both sides, or the text of both and what changes its meaning."""
-        if self.through:
+        """The texts of both sides, or the text of both, and what else changes its meaning."""
+        if self.through and self.one == self.other:
             return [f"      {self.one}", f"      {self.by}"]
         if self.kind == "changed" and not (self.one or self.other):
             return []
         sides = (("-", self.one, "added"), ("+", self.other, "removed"))
-        return [f"    {mark} {text or '(not written)'}" for mark, text, absent in sides if self.kind != absent]
+        texts = [f"    {mark} {text or '(not written)'}" for mark, text, absent in sides if self.kind != absent]
+        return [*texts, f"      also {self.by}"] if self.through else texts
 
     @property
     def text(self) -> str:
         """The change on one line: `robots.leg.apply.hip: 0.5 * hip -> 0.75 * hip`."""
-        if self.through:
+        if self.through and self.one == self.other:
             return f"{self.path}: {self.by}"
         sides = [side or "(not written)" for side in (self.one, self.other)]
         return f"{self.path}: {' -> '.join(sides)}" if self.one or self.other else self.path
 
     @property
     def by(self) -> str:
-        """The parameters that change the meaning of the same text."""
+        """The parameters and poses that change the meaning of the text."""
         listed = (f"{name}: {one or '(not written)'} -> {other or '(not written)'}" for name, (one, other) in self.through.items())
-        return f"changed by the parameter{'s' * (len(self.through) > 1)} {', '.join(listed)}"
+        what = "" if any(" " in name for name in self.through) else f"the parameter{'s' * (len(self.through) > 1)} "
+        return f"changed by {what}{', '.join(listed)}"
 
 
 @dataclass(frozen=True)
@@ -292,11 +294,24 @@ def _change(
         path = f"augment.{name}"
     written = f"{path.removeprefix(APPEARANCE_PREFIX)}.color" if path.startswith(APPEARANCE_PREFIX) else path
     texts = one.text_at(written), other.text_at(written)
+    if not any(texts) and (group_of := _entry_of_joint(path, one)):
+        texts = one.text_at(group_of), other.text_at(group_of)
     kind = "changed" if all(texts) else _kind(bool(old), bool(new))
     if texts[0] != texts[1]:
-        return Change(path, group, kind, *texts)
+        both = all(texts) and not path.startswith("parameters.")
+        also = _altered_parameters(texts[0], one, other, set()) if both else {}
+        return Change(path, group, kind, *texts, {name: sides for name, sides in also.items() if name.split()[-1] in texts[1]})
     through = _altered_parameters(texts[0], one, other, set())
     return Change(path, group, kind, *(texts if through else _differing(old, new)), through)
+
+
+def _entry_of_joint(path: str, scenario: WrittenScenario) -> str | None:
+    """The only entry of `reset.joints` for the robot of a joint that has no entry of its own: that of a group with the joint."""
+    if not path.startswith("reset.joints."):
+        return None
+    robot = path.split(".")[2]
+    entries = [key for key in scenario.keys_at("reset.joints") if key.startswith(f"{robot}.")]
+    return f"reset.joints.{entries[0]}" if len(entries) == 1 else None
 
 
 def _kind(before: bool, after: bool) -> Kind:
@@ -314,9 +329,16 @@ def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> tuple[str, str
 
 
 def _altered_parameters(text: str, one: WrittenScenario, other: WrittenScenario, known: set[str]) -> dict[str, tuple[str, str]]:
-    """The parameters whose texts differ, of those in a text and of those that they are computed from; and both texts of each."""
+    """The parameters whose texts differ, of those in a text and of those that they are computed from; and both texts of each.
+
+    A pose of a robot is one too: `the pose stand`.
+    """
     found: dict[str, tuple[str, str]] = {}
     for name in dict.fromkeys(_NAME.findall(text)):
+        for robot in one.keys_at("robots"):
+            poses = one.text_at(f"robots.{robot}.poses.{name}"), other.text_at(f"robots.{robot}.poses.{name}")
+            if poses[0] != poses[1]:
+                found[f"the pose {name}"] = poses
         here, there = one.text_at(f"parameters.{name}"), other.text_at(f"parameters.{name}")
         if here != there:
             found[name] = here, there

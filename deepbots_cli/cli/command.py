@@ -31,7 +31,11 @@ def known_engine(name: str | None) -> str | None:
     if name is None:
         return None
     if name not in ENGINES:
-        raise typer.BadParameter(f"there is no engine '{name}'; the engines are: {', '.join(ENGINES)}")
+        from deepbots_cli.scenario.synonyms import word_for
+
+        near = word_for(name, ENGINES) or nearest_word(name, ENGINES)
+        hint = f"did you mean '{near}'? The" if near else "the"
+        raise typer.BadParameter(f"there is no engine '{name}'; {hint} engines are: {', '.join(ENGINES)}")
     kind = ENGINES[name]
     if not kind.is_installed and any(other.is_installed for other in ENGINES.own.values()):
         raise typer.BadParameter(f"{kind.missing}; {kind.remedy}")
@@ -44,7 +48,8 @@ def whole_number(minimum: int = 1, maximum: int | None = None) -> Callable[[str 
     def parse(text: str | int) -> int:
         value = _whole(str(text))
         if value is None:
-            raise typer.BadParameter(f"'{text}' is not a whole number; write it like 100000, 100_000, 100k or 1e5")
+            like = "0 or 42" if minimum == 0 else "100000, 100_000, 100k or 1e5"
+            raise typer.BadParameter(f"'{text}' is not a whole number; write it like {like}")
         if value < minimum:
             raise typer.BadParameter(f"{text} is too small; the minimum is {minimum}")
         if maximum is not None and value > maximum:
@@ -52,6 +57,14 @@ def whole_number(minimum: int = 1, maximum: int | None = None) -> Callable[[str 
         return value
 
     return parse
+
+
+def _workers(text: str | int) -> int:
+    """The parser of `--workers`."""
+    number = whole_number(-(10**9), 1024)(text)
+    if number < 1:
+        raise UsageError(f"--workers {text} starts no process; write --workers 1 or more, or leave it out to work in this process")
+    return number
 
 
 ADVANCED = "Advanced"
@@ -209,7 +222,7 @@ Engine = Annotated[
         callback=known_engine,
     ),
 ]
-Workers = Annotated[int | None, integer("--workers N", "Use N processes of this machine.", 1, 1024, ADVANCED)]
+Workers = Annotated[int | None, option("--workers N", "Use N processes of this machine.", ADVANCED, parser=_workers)]
 ClusterAddress = Annotated[
     str | None,
     option("--cluster ADDRESS", "Use the Ray cluster at HOST:PORT, or with `auto` the one of this machine.", ADVANCED),

@@ -61,7 +61,13 @@ def scenario_tables(scenario: Program, root: Node, run: Run | None = None, learn
                 for entry in scenario.reset.variations
             ],
             "robots": [
-                {"robot": body.name, "model": body.model.name, **_counts(body.model), "base": "fixed" if body.fixed_base else "free"}
+                {
+                    "robot": body.name,
+                    "model": body.model.name,
+                    **_counts(body.model),
+                    **_drawn_mass(scenario, body.name, _counts(body.model)["mass_kg"]),
+                    "base": "fixed" if body.fixed_base else "free",
+                }
                 for body in scenario.world.robots
             ],
             "joints": [{"robot": body.name, **_joint(joint)} for body in scenario.world.robots for joint in body.model.joints],
@@ -140,6 +146,12 @@ def _counts(model: RobotModel) -> Row:
         "moving_joints": len(model.moving_joints),
         "mass_kg": sum(link.inertial.mass for link in model.links if link.inertial),
     }
+
+
+def _drawn_mass(scenario: Program, robot: str, mass: object) -> Row:
+    """The mass of a robot with links whose masses are drawn in every episode: that of the nominal values, and a mark."""
+    is_drawn = any(entry.what == "mass" and entry.of[:1] == (robot,) for entry in scenario.reset.variations)
+    return {"mass_kg": f"{mass:.4g} on average, drawn in every episode"} if is_drawn else {}
 
 
 def _link(link: Link, joint: str) -> Row:

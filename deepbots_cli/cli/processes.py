@@ -50,8 +50,10 @@ def cluster(workers: int | None, address: str | None, *, quiet: bool) -> Iterato
         return
     from deepbots_cli.cluster import Cluster
 
+    if workers is not None and workers > (cores := available_cores()) and not quiet:
+        terminal.note(f"{workers} workers share {cores} core{'' if cores == 1 else 's'}; more workers than cores are not faster")
     found = Cluster(workers=workers, address=address)
-    with terminal.transient_line("" if quiet else "starting workers ..." if workers else f"joining {address} ..."):
+    with terminal.transient_line("" if quiet or address is None else f"joining {address} ..."):
         found.__enter__()
     try:
         yield found

@@ -1,13 +1,31 @@
-"""Work spread over processes of this machine or over a cluster, with Ray. Only this package imports it.
+"""Work spread over processes of this machine, or over a Ray cluster.
 
-session.py   `Cluster`: a Ray of its own on this machine, or one that runs already
-shards.py    the shards of a training as Ray actors, which are replaced when they are lost
-tasks.py     calls of a function as Ray tasks, such as trainings of a group, which are repeated when they are lost
+session.py           `Cluster`: the workers that a person names
+executor.py          `Executor`, which both kinds of workers implement; what a worker runs and checks
+local_processes.py   workers as processes of this machine, with the standard library alone
+worker.py            such a process
+ray_cluster.py       workers of a Ray cluster; only this module imports Ray
+shards.py            the shards of a training on workers, which are replaced when they are lost
+tasks.py             calls of a function on workers, such as trainings of a group, which are repeated when they are lost
 
 The result of a training does not depend on where its parts run: shards and trainings are functions of the scenario, the seed and their
 number. What a worker computes therefore may be lost, and is computed again elsewhere.
 """
 
-from deepbots_cli.cluster.session import Cluster
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from deepbots_cli.cluster.session import Cluster
 
 __all__ = ["Cluster"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what spreads work when it is asked for: a worker reads its first call before it imports anything large."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from deepbots_cli.cluster import session
+
+    return getattr(session, name)

@@ -1,4 +1,4 @@
-"""The shards of a training as Ray actors.
+"""The shards of a training on workers.
 
 A worker has one or more shards. When it is lost, alone or with its node, its shards continue on another worker from the end of the last
 fragment, and repeat what was lost of the present one: the same numbers. A node that joins later gets a worker with the next fragment.
@@ -6,33 +6,27 @@ fragment, and repeat what was lost of the present one: the same numbers. A node 
 
 from __future__ import annotations
 
-import os
 import socket
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
 from typing import Any, NamedTuple
 
-import deepbots_cli
+from deepbots_cli.cluster.executor import MAX_LOSSES, Executor, WorkerLost, library_versions, output_in
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.learning.run import Run, versions
+from deepbots_cli.learning.run import WORKERS_FOLDER, Run
 from deepbots_cli.rollout.collector import Evaluated, EvaluationOrder, Harvest, Order, RunningEpisode
 from deepbots_cli.rollout.worlds import Array
 
-MAX_LOSSES = 3
-"""Workers that may be lost in one fragment of a shard."""
 _READY_TIMEOUT_S = 60.0
 """How long shards wait for a new worker while others could take them, and then for the next attempt to start one."""
 _MAX_VAIN_STARTS = 5
 """How often in a row all new workers may end while they start, if there are no others."""
-_LIBRARIES = ("numpy", "torch", "stable-baselines3", "pybullet", "mujoco")
-"""Libraries on whose versions the numbers depend."""
 
 
 class Beginning(NamedTuple):
@@ -44,13 +38,14 @@ class Beginning(NamedTuple):
 
 
 class ShardWorker:
-    """An actor with shards of one training."""
+    """Shards of one training, in a process of their own."""
 
     def __init__(self, run: Path, number: int) -> None:
-        write_output_to(run / "workers" / f"{number}.log")
+        self._settings = ExitStack()  # for the life of this process
+        self._settings.enter_context(output_in(run / WORKERS_FOLDER / f"{number}.log"))
         from deepbots_cli.learning.sb3.algorithms import torch_settings
 
-        torch_settings().__enter__()  # for the life of this process
+        self._settings.enter_context(torch_settings())
         self._path, self._number = run, number
         self._shards: dict[int, Any] = {}
 
@@ -65,7 +60,7 @@ class ShardWorker:
     def work(self, number: int, beginning: Beginning | None, order: Order | EvaluationOrder | None, memory: Mapping[str, Array]) -> Any:
         """Make a shard if there is a `beginning`, and return the observations, or the answer to an order.
 
-        An error that ends the training is returned, since Ray would add a traceback to it.
+        An error that ends the training is returned, since a traceback of the worker is added to one that is raised.
         """
         from deepbots_cli.learning.environments import supervisor_factory
         from deepbots_cli.learning.shards import Shard
@@ -88,49 +83,28 @@ class ShardWorker:
             return error
 
 
-def library_versions() -> dict[str, str]:
-    return {"deepbots": deepbots_cli.__version__, **{name: text for name, text in versions().items() if name in _LIBRARIES}}
-
-
-def check_node() -> None:
-    """Raises: RunError: The Ray node of this process was lost; calls of Ray may wait for it forever."""
-    import ray
-
-    here = ray.get_runtime_context().get_node_id()
-    if not any(node["Alive"] for node in ray.nodes() if node["NodeID"] == here):
-        error = RunError("the Ray node of this process was lost")
-        error.add_note("start again; a training continues with `deepbots train --resume`")
-        raise error
-
-
-def write_output_to(path: Path) -> None:
-    """Write standard output and error of this process into a file."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    with suppress(OSError):  # a folder that is not shared is refused in words, after `describe`
-        path.parent.mkdir(exist_ok=True)
-        log = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0), 0o644)
-        os.dup2(log, 1)
-        os.dup2(log, 2)
-        os.close(log)
-
-
 class RemoteShards:
     """The shards of a training on workers.
 
     Args:
+        executor: What has the processes.
         run: The run, in a folder that all workers see.
         permissions: Those of the training.
         worlds: The numbers of the worlds of each shard.
-        workers: The largest number of workers.
         note: Called with what the user should know, such as a lost worker.
     """
 
     def __init__(
-        self, run: Run, permissions: Permissions, worlds: Sequence[Sequence[int]], workers: int, note: Callable[[str], None]
+        self,
+        executor: Executor,
+        run: Run,
+        permissions: Permissions,
+        worlds: Sequence[Sequence[int]],
+        note: Callable[[str], None],
     ) -> None:
+        self._executor = executor
         self._run, self._permissions, self._worlds, self._note = run, permissions, worlds, note
-        self._wanted = min(workers, len(worlds))
+        self._wanted = min(executor.workers, len(worlds))
         self._workers: dict[int, Any] = {}
         self._homes: list[int | None] = [None] * len(worlds)
         """The worker of each shard; None after this was lost."""
@@ -152,10 +126,8 @@ class RemoteShards:
         return self._work(order, [{} for _ in self._worlds], episodes)()
 
     def close(self) -> None:
-        import ray
-
         for worker in self._workers.values():
-            ray.kill(worker)
+            self._executor.end(worker)
 
     def _work(
         self,
@@ -164,10 +136,8 @@ class RemoteShards:
         episodes: Sequence[Sequence[RunningEpisode]],
     ) -> Callable[[], list[Any]]:
         """Ask all shards, each on its worker. The result waits for the answers, and replaces lost workers."""
-        import ray
-
         self._find_homes()
-        shared = ray.put(order)
+        shared = self._executor.share(order)
         answers: dict[int, Any] = {}
         losses: Counter[int] = Counter()
         waiting: dict[Any, tuple[int, int]] = {}
@@ -175,7 +145,7 @@ class RemoteShards:
         def ask(shard: int, *, anew: bool) -> None:
             home = self._home_of(shard)
             beginning = Beginning(self._worlds[shard], episodes[shard], self._permissions) if anew else None
-            waiting[self._workers[home].work.remote(shard, beginning, shared, memories[shard])] = (shard, home)
+            waiting[self._executor.ask(self._workers[home], "work", shard, beginning, shared, memories[shard])] = (shard, home)
 
         new, self._new = self._new, set()
         for shard in range(len(self._worlds)):
@@ -183,13 +153,11 @@ class RemoteShards:
 
         def wait() -> list[Any]:
             while waiting:
-                (ready, *_), _ = ray.wait(list(waiting))
+                ready, *_ = self._executor.wait(waiting)
                 shard, worker = waiting.pop(ready)
                 try:
-                    answer = ray.get(ready)
-                except ray.exceptions.RayTaskError:
-                    raise
-                except ray.exceptions.RayError as error:
+                    answer = self._executor.answer(ready)
+                except WorkerLost as error:
                     lost = {call: other for call, (other, home) in waiting.items() if home == worker}
                     for call in lost:
                         del waiting[call]
@@ -241,25 +209,21 @@ class RemoteShards:
         Raises:
             UsageError: A worker does not see the run, or has other versions.
         """
-        import ray
-
         missing = self._wanted - len(self._workers)
         if not missing or (self._workers and time.monotonic() < self._next_start):
             return
         waiting = self._begun(missing)
-        while not self._workers and not ray.wait(list(waiting), timeout=_READY_TIMEOUT_S)[0]:
-            check_node()
-        ready, late = ray.wait(list(waiting), num_returns=len(waiting), timeout=_READY_TIMEOUT_S) if waiting else ((), ())
-        for call in late:  # its node was lost, or is busy with something else
-            ray.kill(waiting[call][1])
-        is_any_lost = bool(late)
+        while not self._workers and not self._executor.wait(waiting, timeout_s=_READY_TIMEOUT_S):
+            self._executor.check()
+        ready = self._executor.wait(waiting, len(waiting), _READY_TIMEOUT_S) if waiting else ()
+        for call in waiting.keys() - set(ready):  # its node was lost, or is busy with something else
+            self._executor.end(waiting[call][1])
+        is_any_lost = len(ready) < len(waiting)
         for call in ready:
             number, worker = waiting[call]
             try:
-                self._check(ray.get(call))
-            except ray.exceptions.RayActorError as error:
-                if error.actor_init_failed:
-                    raise UsageError("a worker cannot import deepbots; install the same version on all nodes") from error
+                self._check(self._executor.answer(call))
+            except WorkerLost:
                 is_any_lost = True
             else:
                 self._workers[number] = worker
@@ -275,17 +239,14 @@ class RemoteShards:
     def _begun(self, missing: int) -> dict[Any, tuple[int, Any]]:
         """Begin to start as many of the missing workers as the cluster has room for, at least one if there is none: the calls to wait
         for, with number and worker."""
-        import ray
-
-        free = int(ray.available_resources().get("CPU", 0))
+        free = self._executor.free()
         if not self._workers and not free and not self._vain_starts:
             self._note("waiting for a free CPU in the cluster")
-        actor = ray.remote(ShardWorker).options(num_cpus=1, max_restarts=0, max_task_retries=0, scheduling_strategy="SPREAD")
         waiting = {}
         for _ in range(min(missing, free) if self._workers else max(1, min(missing, free))):
             number, self._started = self._started, self._started + 1
-            worker = actor.remote(self._run.path.absolute(), number)
-            waiting[worker.describe.remote()] = (number, worker)
+            worker = self._executor.start(ShardWorker, self._run.path.absolute(), number)
+            waiting[self._executor.ask(worker, "describe")] = (number, worker)
         return waiting
 
     def _check(self, there: dict[str, str]) -> None:
@@ -313,4 +274,4 @@ class RemoteShards:
         return error
 
     def _log(self, worker: int) -> Path:
-        return self._run.path / "workers" / f"{worker}.log"
+        return self._run.path / WORKERS_FOLDER / f"{worker}.log"

@@ -206,7 +206,14 @@ def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping
     robot_name, dot, part = key.partition(".")
     robot, text = namespace.robots.get(robot_name), namespace.values.key_text((*spec.path, "joints", key))
     if robot is None:
-        if robot_name not in namespace.robots:
+        parts = [
+            f"{robot.name}.{part}"
+            for robot in namespace.resolved_robots
+            for part in (*(name for name, (kind, _) in robot.groups.items() if kind in _JOINTS), *robot.drivable_joints)
+        ]
+        if any(whole.partition(".")[2] == key for whole in parts):
+            namespace.values.report_unknown(text.span, "joint", key, parts)
+        elif robot_name not in namespace.robots:
             namespace.values.report_unknown(text.part(0, len(robot_name)), "robot", robot_name, namespace.names_of(Origin.ROBOT))
         return None
     if not part:
@@ -372,6 +379,10 @@ class Signals(NamespaceReader):
         self.valued: dict[str, Expression] = {}
         if isinstance(spec.augment, dict):
             for name, given in spec.augment.items():
+                if given == name and self._is_defined_elsewhere(name):
+                    help = f"to send an existing value, name it in a list: `augment: [{name}, ...]`; an entry of a mapping needs a new name"
+                    self._values.add("DB202", self._values.key_span(("augment", name)), f"`{name}` under `augment` exists already", help)
+                    continue
                 self._define(name, given, Origin.AUGMENT, ("augment", name), Context.SIGNAL)
         for name, given in spec.signals.items():
             self._define(name, given, Origin.SIGNAL, ("signals", name), Context.SIGNAL)
@@ -386,6 +397,9 @@ class Signals(NamespaceReader):
         for outcome, conditions in outcomes.items():
             for name, condition in conditions.items():
                 self._define(name, condition, Origin.ENDING, ("termination", outcome, name), Context.ENDING)
+
+    def _is_defined_elsewhere(self, name: str) -> bool:
+        return name in self._spec.parameters or name in self._spec.signals
 
     def _check_augmented(self, names: Sequence[str]) -> None:
         """A list under `augment` names values that exist, which the policy may see."""
@@ -475,7 +489,7 @@ def solved(namespace: Namespace) -> Solved | None:
     if metric == "mean_return":
         return Solved(episodes or 0, mean_return=threshold)
     if not (spec.termination.success or spec.goal or any(map(values.is_invalid, ("success", "termination", "goal")))):
-        help = "add a condition under `termination.success`, or require a `mean_return`"
+        help = "write `success: {reached: CONDITION}` under `termination`, or require a `mean_return`"
         values.add("DB407", ("solved",), NO_SUCCESS_DEFINED, help)
     return Solved(episodes or 0, success_rate=threshold)
 

@@ -254,7 +254,7 @@ class _VariantCompiler:
             last = index == len(spec.curriculum) - 1
             found = read_until(stage.until)
             if found and found[0] == "success_rate" and not (spec.termination.success or spec.goal):
-                help = "add a condition under `termination.success`, or require a `mean_return`"
+                help = "write `success: {reached: CONDITION}` under `termination`, or require a `mean_return`"
                 values.add_at_key("DB407", (*path, "until"), NO_SUCCESS_DEFINED, help)
             if stage.until is None and not last:
                 help = "add `until: success_rate >= 0.7 over 40 episodes`"

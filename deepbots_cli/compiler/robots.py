@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -124,7 +125,8 @@ def report_missing_joint(values: ValueReader, span: Span, pattern: str, model: R
     if matched and matched[0] in model.followers:
         report_follower(values, span, matched[0], model)
     elif matched:
-        report_motionless_joint(values, span, model.joint(matched[0]), known)
+        joints = {joint.name for joint in model.joints}
+        report_motionless_joint(values, span, model.joint(matched[0]), [name for name in known if name in joints])
     else:
         report_unmatched(values, span, pattern, "joint", known)
 
@@ -414,9 +416,10 @@ class ResolvedRobot:
         return () if missing else names
 
     def report_missing_joint(self, values: ValueReader, span: Span, pattern: str, known: Sequence[str]) -> None:
-        """A joint where one of the `known` is needed; of a group that names none of them, its first joint is reported."""
+        """A joint or group where one of the `known` is needed; of a group that names none of them, its first joint is reported."""
         kind, members = self.groups.get(pattern, (None, ()))
-        report_missing_joint(values, span, members[0] if kind is Kind.JOINTS else pattern, self.model, known)
+        groups = [name for name, (kind_of_group, _) in self.groups.items() if kind_of_group is Kind.JOINTS]
+        report_missing_joint(values, span, members[0] if kind is Kind.JOINTS else pattern, self.model, [*groups, *known])
 
     @property
     def parts(self) -> list[str]:
@@ -457,7 +460,7 @@ def locate_file(reference: str, span: Span, document: Document, values: ValueRea
     if reference.startswith("package://"):
         found = meshes.package_file(reference)
         if found is None:
-            values.add("DB204", span, f"`{reference}` does not exist", "the package must be installed and contain this file")
+            values.add("DB204", span, f"`{reference}` does not exist", _package_help(reference, document, span))
         return found
     located = files.resolve_reference(reference, document.directory_of(span), document.roots, shipped.ROBOTS if robot else None)
     if isinstance(located, FilePath):
@@ -466,6 +469,19 @@ def locate_file(reference: str, span: Span, document: Document, values: ValueRea
     fix = Fix.replacing(span, reference, library, safe=False) if library else None
     values.add("DB204", span, located.headline, f"did you mean `{library}`?" if library else located.help, notes=located.notes, fix=fix)
     return None
+
+
+def _package_help(reference: str, document: Document, span: Span) -> str:
+    """Why `package://X/rest` names no file, and the path of a file of this name in the project."""
+    package, _, inside = reference.removeprefix("package://").partition("/")
+    if meshes.package_folder(package):
+        help = f"the Python package `{package}` is installed, but has no file `{inside}`"
+    else:
+        help = f"`package://` names a file of an installed Python package, and there is no package `{package}`; write the path of the file"
+    found = files.find_in(document.roots[0], FilePath(inside).name) if document.roots and inside else None
+    if found is None:
+        return help
+    return f"{help}: `{FilePath(os.path.relpath(found, document.directory_of(span))).as_posix()}`"
 
 
 def _groups(model: RobotModel, spec: RobotSpec, values: ValueReader) -> dict[str, NameGroup]:

@@ -30,8 +30,9 @@ from deepbots_cli.expressions.types import (
 from deepbots_cli.expressions.unification import expect_kind, expect_range, expect_value
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.scenario.base import Section, section_fields
-from deepbots_cli.scenario.fields import FieldType, Quantity, choices_help, word_for_foreign_name
-from deepbots_cli.scenario.validate import replacement_for
+from deepbots_cli.scenario.fields import FieldType, Quantity, choices_help
+from deepbots_cli.scenario.keys import replacement_for
+from deepbots_cli.scenario.synonyms import word_for
 
 _HIDDEN = re.compile(r"[ \t]+(#[^\n]*\))")
 """The comment behind a value on its line, where it holds a closing parenthesis."""
@@ -229,11 +230,16 @@ class ValueReader:
     def report_unknown(self, span: Span, what: str, name: str, known: Sequence[str], code: str = "DB201") -> None:
         """A finding that `name` is none of the `known`, unless its definition had one."""
         if not self.is_invalid(name):
-            near = suggest_replacement(name, known)
+            owned = check.with_owner(name, known)
+            near = owned or suggest_replacement(name, known)
             fix = Fix.replacing(span, name, near.text, safe=near.safe) if near else None
             place = _DEFINED_UNDER.get(what)
-            none = f"no {what} is defined" if place is None else f"define `{name}` under `{place}`"
-            self.add(code, span, f"there is no {what} `{name}`", choices_help(name, known) if known else none, fix=fix)
+            help = choices_help(name, known) if known else f"no {what} is defined"
+            if owned:
+                help = f"write `{owned.text}`"
+            elif not known and place is not None:
+                help = f"define `{name}` under `{place}`"
+            self.add(code, span, f"there is no {what} `{name}`", help, fix=fix)
 
     def report(self, text: SourceText) -> FindingReporter:
         """A function that takes findings at offsets of `text`."""
@@ -269,7 +275,7 @@ class ValueReader:
     def _word_replacement(text: SourceText, piece: str) -> str | None:
         """The probable word for an unknown name, if the field takes words beside numbers."""
         words = text.kind.words if isinstance(text.kind, Quantity) and piece == text.text.strip() else ()
-        return word_for_foreign_name(piece, words) or nearest_word(piece, words) if words else None
+        return word_for(piece, words) or nearest_word(piece, words) if words else None
 
     def parsed(self, text: SourceText) -> syntax.Node | None:
         return parser.parse(text.text, self.report(text))

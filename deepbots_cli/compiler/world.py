@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path as FilePath
@@ -16,7 +17,7 @@ from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import fold_operation, lower
-from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
+from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, is_drawn, names_in
 from deepbots_cli.expressions.types import PLANE, Context, Known, Symbol, Type
 from deepbots_cli.files import MAX_PICTURE_BYTES, picture_problem, read_at_most
 from deepbots_cli.program.resets import ObjectGroup, OfLink, OfWalls, OfWorld
@@ -255,6 +256,12 @@ def _formula(given: world_spec.Formula, size: tuple[float, float], namespace: Na
     if typed is None:
         return None
     (heights,) = lower(typed, text.owner)
+    drawn = dict.fromkeys(name.name for name in names_in(heights) if name.name not in sides)
+    if drawn or is_drawn(heights):
+        what = f"`{next(iter(drawn))}`, which is drawn in every episode" if drawn else "a random draw"
+        help = "give it a fixed value; a stage of `curriculum` or a case of `evaluation` may set another one"
+        values.add("DB407", text.span, f"`heights` must be fixed, but uses {what}", help)
+        return None
     steps = [step / _FORMULA_SAMPLES - 0.5 for step in range(_FORMULA_SAMPLES + 1)]
     for x, y in ((along_x * size[0], along_y * size[1]) for along_y in steps for along_x in steps):
         found = _at(heights, {"x": x, "y": y})
@@ -382,7 +389,7 @@ def _usual_mass(made: Shape, thing: world_spec.Material, namespace: Namespace, *
 
 
 # Seconds: a timestep beyond the outer two cannot be run, one beyond the inner two is hardly meant.
-_MIN_TIMESTEP_S, _SHORT_TIMESTEP_S, _LONG_TIMESTEP_S, _MAX_TIMESTEP_S = 1e-6, 1e-4, 1.0, 60.0
+_MIN_TIMESTEP_S, _SHORT_TIMESTEP_S, _LONG_TIMESTEP_S, _MAX_TIMESTEP_S = 1e-6, 1e-4, 1.0, 10.0
 
 
 def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line, ...]) -> WorldModel:
@@ -431,8 +438,10 @@ def _check_timestep(timestep: float, spec: world_spec.World, namespace: Namespac
         else "DB105"
     )
     if code:
-        span = namespace.values.field(spec, "timestep").span
-        namespace.values.add(code, span, f"the timestep is {timestep:g} s", "write a timestep of 10 to 100 ms, which is usual")
+        text = namespace.values.field(spec, "timestep")
+        written = re.fullmatch(r"\s*([0-9.]+)\s*s\s*", text.text)
+        meant = f"write `{written[1]} ms` if you mean milliseconds; " if written and timestep > _LONG_TIMESTEP_S else ""
+        namespace.values.add(code, text.span, f"the timestep is {timestep:g} s", f"{meant}a timestep of 10 to 100 ms is usual")
 
 
 def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) -> None:

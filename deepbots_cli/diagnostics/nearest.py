@@ -16,6 +16,10 @@ _MIN_PREFIX = 3
 """Letters from which on a word may be the beginning of a longer one, as `left` of `left_hinge`."""
 
 
+MAX_BESIDE = 8
+"""Number of words up to which a message lists all of them beside one that is almost certainly meant."""
+
+
 class Replacement(NamedTuple):
     """The replacement of a word, and whether it is certain."""
 

@@ -96,6 +96,7 @@ _CATALOG = (
     Rule("DB319", "unlimited-motor", "warning", "a motor without a limit of torque or force"),
     Rule("DB321", "message-misfit", "error", "a ROS 2 message that cannot carry the values of a sensor or an actuator"),
     Rule("DB322", "robot-stays", "warning", "a robot that stays in its place although its wheels turn", deep="only"),
+    Rule("DB323", "falls-without-end", "warning", "a robot with a free base that falls through the ground"),
     Rule("DB401", "expression-syntax", "error", "an expression that cannot be read"),
     Rule("DB402", "unknown-name", "error", "an expression names something that does not exist"),
     Rule("DB403", "boolean-number-mix", "error", "a truth value instead of a number, or the reverse"),

@@ -16,6 +16,7 @@ from typing import Literal
 
 from deepbots_cli.diagnostics import Findings, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.document import shipped
 from deepbots_cli.document.shipped import Library
 from deepbots_cli.files import read_at_most
 
@@ -24,6 +25,9 @@ MAX_TOTAL_BYTES = 8 << 20
 """All files of a scenario together."""
 
 _MAX_LISTED = 24
+# How far a message looks for a file that is not where it should be.
+_MAX_DEPTH, _MAX_FOLDERS, _MAX_ENTRIES = 3, 200, 500
+_NOT_SEARCHED = frozenset({"runs", "node_modules", "__pycache__", "venv", "build", "dist"})
 _PROJECT_MARKERS = ("deepbots.toml", "pyproject.toml", ".git")
 # Outside YAML's printable characters, or a line end that editors and YAML count differently.
 FORBIDDEN_CHARACTERS = re.compile("[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]|\r(?!\n)")
@@ -44,6 +48,10 @@ class UnusableFile:
     """Whether the file is outside only because a symbolic link leads there."""
     library: Library | None = None
     """The shipped files that could have been named instead of a path."""
+    base: Path | None = None
+    """The folder of the file that names it."""
+    by: Path | None = None
+    """The file that names it."""
 
     @property
     def headline(self) -> str:
@@ -53,17 +61,44 @@ class UnusableFile:
 
     @property
     def help(self) -> str:
-        if self.reason == "outside":
-            it = "the file" if self.through_link else "it"
-            return f"move {it} into {self.roots[0] if self.roots else 'the project'}, or allow its folder with --allow-path"
         if self.reason == "irregular":
             return "write the path of a file"
-        if near := _similar(self.path):
+        if elsewhere := self._elsewhere():
+            return f"did you mean {elsewhere}? Paths are relative to the file that contains them"
+        if self.shipped_name:
+            return f"write `{self.shipped_name}`: this {self.library.noun if self.library else 'file'} is shipped with deepbots"
+        if shipped.is_shipped_path(self.reference):
+            return "`deepbots new NAME --from SCENARIO` copies a shipped scenario with all its files; paths are relative to the file"
+        if self.reason == "outside":
+            return self._help_outside()
+        if near := _similar(self.path, self.by):
             return f"did you mean {near}?"
         if self.nearest_name:
             meant = f"did you mean `{self.nearest_name}`, which is shipped with deepbots?"
             return meant if self.is_name else f"{meant} {self.path} does not exist"
         return f"paths are relative to the file that contains them; {self.path} does not exist"
+
+    def _help_outside(self) -> str:
+        it = "the file" if self.through_link else "it"
+        project = self.roots[0] if self.roots else None
+        help = f"move {it} into {project or 'the project'}, or allow its folder with --allow-path"
+        above = Path(os.path.commonpath((project, self.path))) if project else None
+        if above is None or above in (Path(above.anchor), Path.home()) or self.through_link:
+            return help
+        return f"{help}; an empty file deepbots.toml in {above} makes this folder one project"
+
+    def _elsewhere(self) -> str | None:
+        """The path of a file of the same name in the project, as this file would write it."""
+        project = self.roots[0] if self.roots else None
+        if self.is_name or project is None or self.base is None or not self.path.suffix:
+            return None
+        found = find_in(project, self.path.name)
+        return None if found is None or found == self.by else Path(os.path.relpath(found, self.base)).as_posix()
+
+    @property
+    def shipped_name(self) -> str | None:
+        """The shipped file of exactly this name, which needs no path."""
+        return self.path.stem if self.library and not self.is_name and self.path.stem in self.library.names() else None
 
     @property
     def is_name(self) -> bool:
@@ -84,25 +119,45 @@ class UnusableFile:
         return (f"shipped {self.library.noun}s are {', '.join(names[:_MAX_LISTED])}{more}",)
 
 
-def _similar(path: Path) -> str | None:
-    """The name of a file beside `path` that was probably meant."""
+def _similar(path: Path, by: Path | None) -> str | None:
+    """The name of a file beside `path` that was probably meant, and is not the file that names it."""
     try:
         suffixes = (path.suffix,) if path.suffix else (".urdf", ".yaml")
-        return nearest_word(path.name, [other.name for other in path.parent.iterdir() if other.suffix in suffixes])
+        return nearest_word(path.name, [other.name for other in path.parent.iterdir() if other.suffix in suffixes and other != by])
     except OSError:
         return None
 
 
-def resolve_reference(reference: str, base: Path, roots: Iterable[Path], library: Library | None = None) -> Path | UnusableFile:
-    """The file for `reference`, written in a file of the folder `base`: a path, or else the name of a file of the `library`.
+def find_in(folder: Path, name: str, depth: int = _MAX_DEPTH) -> Path | None:
+    """The nearest file or folder called `name` in a folder or below it; hidden folders and the results of trainings are left out."""
+    waiting, visited = [(folder, 0)], 0
+    while waiting and visited < _MAX_FOLDERS:
+        here, level = waiting.pop(0)
+        visited += 1
+        try:
+            entries = sorted(here.iterdir())[:_MAX_ENTRIES]
+            if any(entry.name == name for entry in entries):
+                return here / name
+            if level < depth:
+                below = (entry for entry in entries if not entry.name.startswith(".") and entry.name not in _NOT_SEARCHED)
+                waiting += [(entry, level + 1) for entry in below if entry.is_dir() and not entry.is_symlink()]
+        except OSError:
+            continue
+    return None
+
+
+def resolve_reference(
+    reference: str, base: Path, roots: Iterable[Path], library: Library | None = None, *, by: Path | None = None
+) -> Path | UnusableFile:
+    """The file for `reference`, written in the file `by` of the folder `base`: a path, or else the name of a file of the `library`.
 
     Symbolic links are followed before the path is compared with the `roots`, whose links are already followed.
     """
     found = _file_at(reference, base, tuple(roots))
-    if library is None or isinstance(found, Path):
+    if isinstance(found, Path):
         return found
-    shipped = library.path(reference)
-    return shipped.resolve() if shipped else replace(found, library=library)
+    named = library.path(reference) if library else None
+    return named.resolve() if named else replace(found, library=library, base=base.resolve(), by=by)
 
 
 def _file_at(reference: str, base: Path, roots: tuple[Path, ...]) -> Path | UnusableFile:

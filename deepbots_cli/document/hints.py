@@ -9,10 +9,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from yaml.error import MarkedYAMLError
 
-from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Source, Span
+from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Label, Source, Span, foreign
 from deepbots_cli.document.nodes import Node, ScalarNode
 
 GIVE_A_VALUE = "write a value, or remove the key"
@@ -23,6 +24,7 @@ GIVE_A_VALUE = "write a value, or remove the key"
 _QUOTE_HELP = "put the whole value in quotes, or after `|` on a line of its own"
 _NO_KEY = "a line without a key"
 _KEY = re.compile(r"\s*(?:- +)*[^\s:#]+: +")
+_LINE_KEY = re.compile(r"([^\s:#]+):(?=\s|$)")
 _TAB_INDENT = re.compile(r"[ ]*\t")
 _NEGATED = re.compile(r"[:,{\[][ \t]+!\(")
 _HIDDEN_IN_BRACKETS = re.compile(r"[\s\[{,](#[^\s,}\]]+)")
@@ -30,6 +32,20 @@ _GLUED = re.compile(r"[\w.]+:(?=\S)")
 _ASSIGNED = re.compile(r"([A-Za-z_][\w.]*)[ \t]*(?<![<>=!])=(?!=)[ \t]*(\S.*)")
 _MISSING_COLON = re.compile(r"([a-z_][\w.]*)(?:[ \t]+(?=[-+.\d{\[\"'])|$)(.*)")
 _MAX_SHOWN = 60
+_MAX_LINES_ABOVE = 200
+
+
+class _Line(NamedTuple):
+    """A line with text: its offset, the number of spaces before it, its key, and whether it ends with the colon of the key."""
+
+    start: int
+    indent: int
+    key: str
+    opens: bool
+
+    @property
+    def name(self) -> str:
+        return f"`{self.key[:_MAX_SHOWN]}`" if self.key else "this line"
 
 
 @dataclass(frozen=True)
@@ -51,6 +67,27 @@ class _Problem:
         """The line up to the place."""
         return self.source.text[self.line_start : self.at]
 
+    def line_at(self, start: int) -> _Line | None:
+        """The line that begins at `start`; None if it has no text, or a comment alone."""
+        text = self.rest(start)
+        words = text.lstrip(" ")
+        if not words or words.startswith("#"):
+            return None
+        key = _LINE_KEY.match(words)
+        return _Line(start, len(text) - len(words), key[1] if key else "", key is not None and key.end() == len(words))
+
+    def line_above(self, start: int) -> _Line | None:
+        """The nearest line with text above the one that begins at `start`."""
+        while start > 0:
+            start = self.source.text.rfind("\n", 0, start - 1) + 1
+            if line := self.line_at(start):
+                return line
+        return None
+
+    def label(self, line: _Line, message: str) -> Label:
+        begin = line.start + line.indent
+        return Label(Span(self.source, begin, begin + max(1, len(line.key))), message)
+
     def rest(self, start: int) -> str:
         """The line from `start` on, without a comment."""
         line = self.source.text[start:].partition("\n")[0]
@@ -59,8 +96,11 @@ class _Problem:
     def says(self, *words: str) -> bool:
         return any(word in self.problem or word in self.context for word in words)
 
-    def finding(self, headline: str, help: str, start: int, length: int = 1, fix: Fix | None = None) -> Finding:
-        return Finding("DB001", Span(self.source, start, min(start + length, len(self.source.text))), headline, help, fix=fix)
+    def finding(
+        self, headline: str, help: str, start: int, length: int = 1, fix: Fix | None = None, labels: tuple[Label, ...] = ()
+    ) -> Finding:
+        span = Span(self.source, start, min(start + length, len(self.source.text)))
+        return Finding("DB001", span, headline, help, labels=labels, fix=fix)
 
 
 def syntax_error_finding(source: Source, error: MarkedYAMLError) -> Finding:
@@ -84,7 +124,11 @@ def _tab(problem: _Problem) -> Finding | None:
     text = problem.source.text
     for start in (problem.line_start, text.rfind("\n", 0, problem.since) + 1):
         if found := _TAB_INDENT.match(text, start):
-            return problem.finding("a tab in the indentation", "indent with spaces", found.end() - 1)
+            above = problem.line_above(start)
+            line = problem.rest(start).strip()[:_MAX_SHOWN]
+            spaces = "" if above is None else " " * (above.indent + 2 if above.opens else above.indent)
+            help = f"indent with spaces: `{spaces}{line}`" if spaces and line else "indent with spaces"
+            return problem.finding("a tab in the indentation", help, found.end() - 1)
     return None
 
 
@@ -113,6 +157,9 @@ def _leading_sign(problem: _Problem) -> Finding | None:
         return problem.finding("a value cannot start with `? `", "write `a if condition else b`, or put the value in quotes", at)
     if not rest:
         return problem.finding("a value is missing", "write a value", at)
+    if rest.startswith("|") and (meant := foreign.without_bars(rest)):
+        fix = Fix((Edit(Span(problem.source, at, at + len(rest)), meant),), safe=False)
+        return problem.finding("`|` does not mean the absolute value", f"write `{meant}`", at, len(rest), fix)
     sign = "a backtick" if rest[0] == "`" else f"`{rest[0]}`"
     return problem.finding(f"a value cannot start with {sign}", f"put it in quotes: {_quoted(rest)}", at)
 
@@ -148,6 +195,13 @@ def _brackets(problem: _Problem) -> Finding | None:
 
 
 def _second_colon(problem: _Problem, help: str) -> Finding:
+    line = problem.rest(problem.line_start)
+    key = _KEY.match(line)
+    meant = foreign.conditional(line[key.end() :]) if key else None
+    if key is not None and meant:
+        return problem.finding(
+            "this condition is in the form of another language", f"write `{meant}`", problem.line_start + key.end(), len(line) - key.end()
+        )
     help = "write `a if condition else b`" if " ? " in problem.before else help
     return problem.finding("a second colon in one value", help, problem.at)
 
@@ -169,9 +223,34 @@ def _colon(problem: _Problem) -> Finding | None:
     line = text[above : problem.line_start].strip()
     if line.startswith("//"):
         return _line_without_key(problem, text.index("//", above), line)
-    help = "align it with the other keys of its section; a key has either a value or an indented block of keys"
-    headline = "this line belongs to the value above, so it cannot begin with a key"
-    return problem.finding(headline, help, problem.at - len(key), max(1, len(key)))
+    return _deeper_than_value(problem, key)
+
+
+def _deeper_than_value(problem: _Problem, key: str) -> Finding:
+    """A key that is indented deeper than the key with a value above it: one of the two has the wrong indentation."""
+    at, length = problem.at - len(key), max(1, len(key))
+    line, above = problem.line_at(problem.line_start), problem.line_above(problem.line_start)
+    if line is None or above is None or not above.key or above.opens or line.indent <= above.indent:
+        help = "align it with the other keys of its section; a key has either a value or an indented block of keys"
+        return problem.finding("this line belongs to the value above, so it cannot begin with a key", help, at, length)
+    written = problem.rest(problem.line_start).strip()[:_MAX_SHOWN]
+    holder = problem.line_above(above.start)
+    if holder is not None and holder.opens and holder.indent >= above.indent:
+        # The section above has no key yet: the line with the value is the one that is out of place.
+        value = problem.rest(above.start).strip()[:_MAX_SHOWN]
+        headline = f"{above.name} is not indented below {holder.name}, but the next line is"
+        help = f"indent it like the line below: `{' ' * line.indent}{value}`"
+        fix = Fix((Edit(Span(problem.source, above.start, above.start + above.indent), " " * line.indent),), safe=False)
+        labels = (problem.label(line, _indented_by(line.indent)),)
+        return problem.finding(headline, help, above.start + above.indent, len(above.key), fix, labels)
+    headline = f"{line.name} is indented deeper than {above.name} above it, which has a value"
+    help = f"indent it like the line above: `{' ' * above.indent}{written}`"
+    fix = Fix((Edit(Span(problem.source, line.start, line.start + line.indent), " " * above.indent),), safe=False)
+    return problem.finding(headline, help, at, length, fix, (problem.label(above, _indented_by(above.indent)),))
+
+
+def _indented_by(spaces: int) -> str:
+    return f"indented by {spaces} space{'s' * (spaces != 1)}"
 
 
 def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
@@ -180,7 +259,8 @@ def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
     if line.startswith("//"):
         help, edit = "begin a comment with `#`", (0, 2, "#")
     elif found := _GLUED.match(line):
-        help, edit = "put a space after the colon", (found.end(), found.end(), " ")
+        help = f"put a space after the colon: `{line[: found.end()]} {line[found.end() :][:_MAX_SHOWN]}`"
+        edit = (found.end(), found.end(), " ")
     elif found := _ASSIGNED.match(line):
         help, edit = f"write a colon: `{found[1]}: {found[2][:_MAX_SHOWN]}`", (found.end(1), found.start(2), ": ")
     elif found := _MISSING_COLON.match(line):
@@ -206,7 +286,31 @@ def _behind_value(problem: _Problem) -> Finding | None:
         return problem.finding("a key is missing before the colon", "write `key: value`", at)
     if rest.startswith("- ") or rest == "-":
         return problem.finding("a list item among keys", "indent the list below its key", at, length)
-    return problem.finding("this line does not align with the lines above", "give keys of one mapping the same indentation", at, length)
+    line, levels = problem.line_at(problem.line_start), _levels_above(problem)
+    if line is None or not levels:
+        help = "give keys of one mapping the same indentation"
+        return problem.finding("this line does not align with the lines above", help, at, length)
+    near, *others = sorted(levels, key=lambda level: abs(level.indent - line.indent))
+    headline = f"{line.name} is indented by {line.indent}, which is the indentation of no section above"
+    help = f"indent it like {near.name}: `{' ' * near.indent}{rest[:_MAX_SHOWN]}`"
+    if others:
+        other = others[0]
+        help += f"; or by {other.indent}, like {other.name}"
+    labels = tuple(problem.label(level, _indented_by(level.indent)) for level in (near, *others[:1]))
+    return problem.finding(headline, help, at, length, labels=labels)
+
+
+def _levels_above(problem: _Problem) -> list[_Line]:
+    """The nearest line of each open section above: each is indented less than the one below it."""
+    levels: list[_Line] = []
+    line = problem.line_above(problem.line_start)
+    for _ in range(_MAX_LINES_ABOVE):
+        if line is None:
+            break
+        if line.key and (not levels or line.indent < levels[-1].indent):
+            levels.append(line)
+        line = problem.line_above(line.start)
+    return levels
 
 
 def _quoted(text: str) -> str:
@@ -298,7 +402,7 @@ def report_empty_value(key: ScalarNode, value: ScalarNode, findings: Findings, *
     elif value.text:
         help = "remove the key: deepbots has no null value"
     elif is_flow and _GLUED.match(key.text):
-        help = "put a space after the colon"
+        help = f"put a space after the colon: `{key.text.replace(':', ': ', 1)}`"
     elif is_flow and not _HAS_COLON.match(text, end):
         help = _COMMA_HELP + "put a value with a comma in quotes, several values in `[...]`"
     elif hidden:

@@ -252,7 +252,8 @@ class _Reader:
             )
             self.findings.add("DB103", value.span, f"`{word}` takes {takes}", f"write `{word}: {example}`")
             return None
-        path = files.resolve_reference(value.text, folder, self.roots, shipped.SCENARIOS if word == "extends" else None)
+        library = shipped.SCENARIOS if word == "extends" else None
+        path = files.resolve_reference(value.text, folder, self.roots, library, by=chain[-1] if chain else None)
         if isinstance(path, files.UnusableFile):
             self.findings.add("DB204", value.span, path.headline, path.help, notes=path.notes)
             return None
@@ -321,18 +322,21 @@ def _listed(node: MappingNode) -> str:
 _KIND_KEYS = ("type", "shape", "algorithm")
 # Mappings from names that the user chose: a reward term may be called `shape`.
 _DEFINITIONS = frozenset(("parameters", "signals", "augment", "observation", "action", "reward", "success", "failure"))
+_WHOLES = {"xyz": ("x", "y", "z"), "rpy": ("roll", "pitch", "yaw")}
+"""Keys of a pose that replace the keys of its parts."""
 _OF_NAMES = _DEFINITIONS | frozenset(("set", "search", "emit", "apply", "receive", "poses", "choices"))
 
 
 def merge(base: MappingNode, over: MappingNode, name: str = "") -> MappingNode:
     """`over` laid upon `base`; both are the value of the key `name`.
 
-    Mappings merge by key in the order of `base`; lists and single values replace. If the kind changes (`type`, `shape`,
-    `algorithm`), the settings of the old kind have no meaning, and `over` stands alone.
+    Mappings merge by key in the order of `base`; lists and single values replace, and `xyz` replaces `x`, `y` and `z`. If the kind
+    changes (`type`, `shape`, `algorithm`), the settings of the old kind have no meaning, and `over` stands alone.
     """
     if name not in _OF_NAMES and any(_differ(base.get(key), over.get(key)) for key in _KIND_KEYS):
         return over
-    entries = dict(base.entries)
+    replaced = {part for whole, parts in _WHOLES.items() if whole in over.entries for part in parts}
+    entries = {key: entry for key, entry in base.entries.items() if key not in replaced}
     for key, entry in over.entries.items():
         below = base.get(key)
         if isinstance(below, MappingNode) and isinstance(entry.value, MappingNode):
@@ -366,6 +370,8 @@ def apply_assignment(root: MappingNode, assignment: str, findings: Findings, bud
         findings.add("DB102", whole, "there is no path before the `=`", "write --set path=value")
     elif not equals or _BLANK_OR_COMMENT.fullmatch(text):
         help = "put a value that starts with `#` in quotes" if "#" in text else "write --set path=value"
+        if found := re.fullmatch(r"\s*([\w.]+)\s*[: ]\s*(\S.*)", assignment):
+            help = f"write an equals sign: --set {found[1]}={found[2]}"
         findings.add("DB107", whole, f"`{path}` is set to nothing", help)
     else:
         value = parse(source, findings, budget, text=" " * (len(path) + 1) + text)

@@ -70,6 +70,15 @@ SCENARIOS = Library("scenario", _SCENARIOS)
 ROBOTS = Library("robot", _ROBOTS)
 
 
+def is_shipped_path(reference: str) -> bool:
+    """Whether a relative path, as a shipped scenario writes it, leads to a shipped file: `../robots/epuck.yaml`."""
+    steps = [step for step in re.split(r"[/\\]", reference) if step not in ("", ".", "..")]
+    try:
+        return bool(steps) and steps[0] in ("scenarios", "robots") and data_dir().joinpath(*steps).is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def data_roots() -> tuple[Path, ...]:
     """The folders that any scenario may read from, links followed."""
     return tuple((folder / part).resolve() for folder in (data_dir(), *_added_dirs()) for part in ("scenarios", "robots"))

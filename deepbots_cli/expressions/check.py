@@ -12,7 +12,7 @@ from fractions import Fraction
 from functools import partial
 from typing import NamedTuple, TypeVar
 
-from deepbots_cli.diagnostics.nearest import Replacement, suggest_replacement
+from deepbots_cli.diagnostics.nearest import MAX_BESIDE, Replacement, is_typo, suggest_replacement
 from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, TIME, Dimension, prefixed_unit, suggest_unit
 from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, OPERATORS, Family, Form, Function, Param
@@ -315,9 +315,11 @@ class _Checker:
         names that are like none of the known.
         """
         names = sorted(known)
-        near = _with_owner(name, names) or suggest_replacement(name, names)
+        owned = with_owner(name, names)
+        near = owned or suggest_replacement(name, names)
         listed = "; ".join(filter(None, (_known(names, "no name can be used here"), None if near else also)))
-        help = f"did you mean `{near.text}`? {listed}" if near else listed
+        is_clear = near is not None and len(names) > MAX_BESIDE and (owned is not None or is_typo(name, near.text))
+        help = " ".join(filter(None, (f"did you mean `{near.text}`?" if near else "", "" if is_clear else listed)))
         fix = near._replace(text=f"{before}{near.text}") if near and before is not None else None
         return self._fault("DB402", place, f"unknown {what} `{name}`", help, fix)
 
@@ -623,7 +625,7 @@ def _positions(count: int) -> Components:
     return {len(PLANE): PLANE, len(SPACE): SPACE}.get(count) or tuple(str(n + 1) for n in range(count))
 
 
-def _with_owner(name: str, known: list[str]) -> Replacement | None:
+def with_owner(name: str, known: Sequence[str]) -> Replacement | None:
     """`cart.speed.x` for `speed.x`, if one part alone has a `speed`."""
     first, dot, rest = name.partition(".")
     longer = [other for other in known if other.endswith(f".{first}")]

@@ -199,8 +199,7 @@ _WRITTEN_OUT = {
         "g": "gram grams",
         "kg": "kilogram kilograms",
         "deg": "degree degrees",
-        "rad": "radian radians",
-        "rad/s": "rads",
+        "rad": "radian radians rads",
         "m/s": "mps",
         "N*m": "Nm nm",
         "N": "newton newtons",
@@ -212,7 +211,7 @@ _WRITTEN_OUT = {
     for word in words.split()
 }
 _AMBIGUOUS = frozenset({"rads", "nm"})
-"""They may also mean several radians, and nanometres."""
+"""They may also mean radians per second, and nanometres."""
 _PREFIXES = {"n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
 
 

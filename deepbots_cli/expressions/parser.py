@@ -16,6 +16,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
+from deepbots_cli.diagnostics import foreign
 from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.expressions.dimensions import ONE, UNITS, Unit
 from deepbots_cli.expressions.syntax import (
@@ -54,6 +55,7 @@ _NOT, _COMPARISON, _MINUS = 3, 4, 7
 _NEVER_CLOSED = "a parenthesis that is not closed"
 _TOO_DEEP_HELP = "define parts of the expression as signals or parameters"
 _CONDITIONAL_WORDS = frozenset({"if", "else"})
+_CONDITIONAL_SIGNS = _CONDITIONAL_WORDS | {"?", ":", "{"}
 _SLOT_ENDS = {"", ",", ")", "..", "+-", "|", "when", "every", "each", "if", "else"}  # the first is the end of the text
 _OPERATOR_WORDS = {"when", "and", "or", "not", "every", "if", "else"}
 
@@ -412,7 +414,27 @@ class _Parser:
         before = self._tokens[self._at - 1] if self._at else None
         if before is not None and before.kind == "NAME" and before.text in _HINTS.keys() - _CONDITIONAL_WORDS:
             return _SyntaxError(before.start, before.end, f"`{before.text}` in an expression", _HINTS[before.text].help)
-        return _SyntaxError(self._peek.start, self._peek.end, *_diagnosis(self._tokens, self._at, missing))
+        token = self._peek
+        if token.text in _CONDITIONAL_SIGNS and (meant := foreign.conditional(self._text)):
+            return _SyntaxError(token.start, token.end, "this condition is in the form of another language", f"write `{meant}`")
+        if token.text == "|" and missing and (meant := foreign.without_bars(self._text)):
+            headline = "`|` does not mean the absolute value"
+            return _SyntaxError(token.start, token.end, headline, f"write `{' '.join(meant.split())}`")
+        if token.text == "(" and (names := self._names_before()):
+            first, help = self._tokens[self._at - 2 * len(names) + 1], f"call the function without a prefix: `{foreign.call(names)}`"
+            return _SyntaxError(first.start, self._tokens[self._at - 1].end, f"`{'.'.join(names)}` is not a function", help)
+        return _SyntaxError(token.start, token.end, *_diagnosis(self._tokens, self._at, missing))
+
+    def _names_before(self) -> tuple[str, ...]:
+        """The names joined by dots that end right before this token; empty if there is only one."""
+        names: list[str] = []
+        at = self._at - 1
+        while at >= 0 and self._tokens[at].kind == "NAME":
+            names.insert(0, self._tokens[at].text)
+            if at == 0 or self._tokens[at - 1].text != ".":
+                break
+            at -= 2
+        return tuple(names) if len(names) > 1 else ()
 
 
 def _is_open_conditional(node: Node) -> bool:

@@ -12,7 +12,7 @@ from typing import ParamSpec, TypeVar
 
 from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.expressions import syntax
-from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, Dimension, physical_quantity
+from deepbots_cli.expressions.dimensions import ANGLE, ANGULAR_VELOCITY, NUMBER, SPEED, TIME, Dimension, physical_quantity
 from deepbots_cli.expressions.types import (
     Components,
     Constant,
@@ -106,7 +106,8 @@ def dimension_of(values: Sequence[Typed], place: Place, report: FindingReporter)
         if value.type.dimension == first.type.dimension:
             continue
         if is_bare_number(value):
-            raise missing_unit(value, first.type.dimension, report)
+            is_sum = isinstance(place, syntax.Binary) and place.operator in ("+", "-")
+            raise missing_unit(value, first.type.dimension, report, is_sum=is_sum)
         help, names = _plain_names(first, value)
         help = help or "both sides need the same dimension; divide by a unit to get a plain number"
         headline = f"{first.type.description} is combined with {value.type.description}"
@@ -134,11 +135,17 @@ def _expected(dimension: Dimension, noun: str | None) -> str:
 
 
 def missing_unit(
-    value: Typed | TypedRange, dimension: Dimension, report: FindingReporter, unit: str | None = None, noun: str | None = None
+    value: Typed | TypedRange,
+    dimension: Dimension,
+    report: FindingReporter,
+    unit: str | None = None,
+    noun: str | None = None,
+    *,
+    is_sum: bool = False,
 ) -> StopChecking:
     """DB502 for a bare number; it is probably in `unit` if it is at least 1, otherwise the dimension tells.
 
-    Both numbers of a range or of a draw have the unit behind the second.
+    Both numbers of a range or of a draw have the unit behind the second. In a sum (`is_sum`) the other side may be meant as a plain number.
     """
     ends: Sequence[Typed] = (value.low, value.high) if isinstance(value, TypedRange) else (value,)
     sign = ".."
@@ -154,7 +161,9 @@ def missing_unit(
             units = ("deg",) if largest > 2 * math.pi else ("deg", "rad")
         help = "write its unit: " + " or ".join(f"`{written} {name}`" for name in units)
         if len(units) == 1:
-            replacement = Replacement(f"{written} {units[0]}", safe=units[0] == str(dimension))
+            replacement = Replacement(f"{written} {units[0]}", safe=units[0] == str(dimension) and not is_sum)
+        if is_sum:
+            help += f"; or make the other side a plain number: divide it by `{_divisor(dimension)}`"
     place = value._replace(start=ends[0].start, end=ends[-1].end)
     return report_at(report, "DB502", place, f"expected {_expected(dimension, noun)}, found a number without a unit", help, replacement)
 
@@ -188,9 +197,7 @@ def _remedy(value: Typed, needed: Dimension) -> tuple[str, list[str]]:
     """The help for a value of another dimension, and the names whose unit may be wrong."""
     given = value.type.dimension
     if needed == NUMBER:
-        unit = str(given)
-        divisor = f"({unit})" if "/" in unit or "*" in unit else unit
-        return ("remove its unit" if isinstance(value, Constant) and value.unit else f"divide by the unit: `/ {divisor}`"), []
+        return ("remove its unit" if isinstance(value, Constant) and value.unit else f"divide by the unit: `/ {_divisor(given)}`"), []
     if given == NUMBER:
         return f"give one of its numbers a unit, as in `{needed.example}`", []
     if given / needed == ANGLE:
@@ -199,7 +206,45 @@ def _remedy(value: Typed, needed: Dimension) -> tuple[str, list[str]]:
         return "multiply by the angle: `* rad`", []
     names = [name for name, text in _named_numbers(value) if not text]
     of = f" of {' or '.join(f'`{name}`' for name in names)}" if names else ""
-    return f"correct the unit{of}, or multiply by a factor in {needed / given}", names
+    line = _line_with_unit(value, needed)
+    shown = f": `{line}`" if line else ""
+    other = f"multiply by a factor in {needed / given}"
+    if given == SPEED and needed == ANGULAR_VELOCITY:
+        other = "divide a speed by the radius of the wheel: `/ 2 cm * rad`"
+    return f"correct the unit{of}{shown}, or {other}", names
+
+
+def _divisor(dimension: Dimension) -> str:
+    unit = str(dimension)
+    return f"({unit})" if "/" in unit or "*" in unit else unit
+
+
+def _line_with_unit(value: Typed, needed: Dimension) -> str | None:
+    """The only named number in a value, or the number itself, in a unit of the dimension that is needed."""
+    given = value.type.dimension
+    if isinstance(value, Constant) and value.unit:
+        name, numbers, unit = "", tuple(map(value.unit.from_si, value.values)), value.unit.text
+    else:
+        named = {part.symbol.name: part.symbol.value or () for part in _references(value) if part.type.dimension == given}
+        name, numbers = next(iter(named.items())) if len(named) == 1 else ("", ())
+        unit = str(given)
+        degrees = round(math.degrees(numbers[0]), 9) if given == ANGLE and len(numbers) == 1 else math.nan
+        if len(_number_text(degrees)) < len(_number_text(numbers[0] if numbers else 0.0)) and not math.isnan(degrees):
+            numbers, unit = (degrees,), "deg"
+    if len(numbers) != 1:
+        return None
+    unit = f"{unit}/s" if given / needed == TIME and "/" not in unit else str(needed)
+    written = f"{_number_text(numbers[0])} {unit}"
+    return f"{name}: {written}" if name else written
+
+
+def _references(value: Typed) -> Iterator[Reference]:
+    """The names with fixed values in a sum or product."""
+    if isinstance(value, Reference) and value.symbol.value is not None:
+        yield value
+    elif isinstance(value, Operation) and value.operator in ("add", "sub", "mul", "div", "neg"):
+        for part in value.args:
+            yield from _references(part)
 
 
 def components_of(values: Sequence[Typed], place: Place, report: FindingReporter) -> Components | None:

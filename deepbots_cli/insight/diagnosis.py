@@ -95,6 +95,9 @@ _UNLEARNABLE = {
 }
 """What findings of lint mean for a training that cannot learn its task."""
 
+_EXPLOITS = {"DB708", "DB716", "DB717"}
+"""Findings of payments that a policy can collect without success."""
+
 
 def _success_earns_more(t: TrainingEvidence) -> bool:
     """Whether the successes at the end of the training have the higher mean return."""
@@ -146,7 +149,16 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
     if learned:  # starts that fail are of interest where the scenario does not say how many may
         starts = (some_starts_fail,) if training.run.program.agent.solved is None else ()
         explored = (exploration_too_large,) if learned == "evaluated" else ()
-        causes = (fell_apart, stopped_early, kept_by_return, teacher_sees_more, *starts, *explored)
+        causes = (
+            fell_apart,
+            stopped_early,
+            kept_by_return,
+            reward_exploited,
+            lint_warns,
+            teacher_sees_more,
+            *starts,
+            *explored,
+        )
     found = sorted(statements_about(causes, training), key=lambda each: -each.evidence["likelihood"])
     unlikely = [statement for statement in found if statement.evidence["likelihood"] < CERTAIN]
     left_out = set[str]() if training.is_mature else set(_PROVISIONAL_CAUSES)
@@ -325,7 +337,9 @@ def lint_warns(t: TrainingEvidence) -> Numbers | None:
     """
     linted = linted_scenario(t.run)
     meanings = {code: text for code, text in _UNLEARNABLE.items() if not (code in _REFUTED and _REFUTED[code](t))}
-    findings = sorted(linted.findings, key=lambda finding: finding.code not in meanings)
+    # A training that has learned its task may still find a payment without success, if it goes on.
+    concerned = [finding for finding in linted.findings if finding.code in _EXPLOITS or not has_learned(t)]
+    findings = sorted(concerned, key=lambda finding: finding.code not in meanings)
     if not findings:
         return None
     first, rest = findings[0], findings[1:]

@@ -54,63 +54,92 @@ def term_dominates(t: TrainingEvidence) -> Numbers | None:
 
 
 def reward_exploited(t: TrainingEvidence) -> Numbers | None:
-    """The reward pays for something other than the success: the mean return of {what} is {gained}, more than the {by_script} of the
-    script '{script}', but the policy succeeds in {policy}, and the script in {script_rate}.{paying}
+    """The reward pays for something other than the success: the mean return of {what} is {gained}, more than the {by_example} of
+    {example}, but the policy succeeds in {policy}{and_example}.{paying}
 
     Try: {remedy}
     """
-    baseline = _script_baseline(t)
-    if baseline is None:
-        return None
-    script, returns, successes, script_terms = baseline
-    aimed, expected = SuccessRate(successes), fmean(returns)
-    for outcome in _policy_outcomes(t):
-        policy, gained = SuccessRate(outcome.successes), fmean(outcome.returns)
-        error = 2 * float(np.hypot(_error_of_mean(outcome.returns), _error_of_mean(returns)))
-        if policy.high < aimed.low and gained - expected > max(error, _CLEARLY_MORE * abs(expected)):
+    for example in _examples(t):
+        outcome = _exploiting_outcome(t, example)
+        if outcome is not None:
             break
     else:
         return None
     terms = _term_means(t)
-    extra = {name: value - script_terms[name] for name, value in terms.items()}
+    extra = {name: value - example.terms.get(name, 0.0) for name, value in terms.items()}
     term = max(extra, key=lambda each: extra[each], default="")
     paying, named = "", "the term that pays for it"
     if term and extra[term] > 0:
         named = f"'{term}'"
-        paying = f" {named} pays most of the difference: {terms[term]:.3g} per episode, and {script_terms[term]:.3g}"
-        paying += " in an episode of the script."
+        paying = f" {named} pays most of the difference: {terms[term]:.3g} per episode, and {example.terms.get(term, 0.0):.3g}"
+        paying += f" in {example.episode}."
     once = f"Let {named} pay once, or only for a change (`delta(...)`), or end the episode where it pays"
     if term and t.facts.is_progress(term):
         once = f"Scale {named} down"
+    aimed = SuccessRate(example.successes)
     return {
         "likelihood": 0.929,  # behind the causes that name what the policy does instead
         "what": outcome.name,
-        "gained": gained,
-        "by_script": expected,
-        "script": script,
-        "policy": policy,
-        "script_rate": aimed,
+        "gained": fmean(outcome.returns),
+        "by_example": fmean(example.returns),
+        "example": example.name,
+        "policy": SuccessRate(outcome.successes),
+        "and_example": f", and the script in {aimed}" if example.is_script else "",
         "term": term,
         "terms": terms,
-        "script_terms": script_terms,
+        "example_terms": example.terms,
         "paying": paying,
         "remedy": f"{once}. A success must earn more than an episode without success can collect.",
     }
 
 
-def _script_baseline(t: TrainingEvidence) -> tuple[str, list[float], list[float], dict[str, float]] | None:
-    """The script that succeeds most: its name, the returns and successes of its episodes, and its mean reward terms."""
-    played = {name: traces for name, traces in t.scripts.items() if len(traces) >= MIN_EPISODES}
-    if not played or not t.program.defines_success:
-        return None
+class _Example(NamedTuple):
+    """Episodes that succeed, or mostly, with which the policy is compared: what to call them and one, and their mean reward terms."""
+
+    name: str
+    episode: str
+    returns: Sequence[float]
+    successes: Sequence[float]
+    terms: dict[str, float]
+    is_script: bool
+
+
+def _examples(t: TrainingEvidence) -> list[_Example]:
+    """The script that succeeds most, and the successful episodes of the quoted evaluation if they are at least half of it."""
+    if not t.program.defines_success:
+        return []
+    names = [term.name for term in t.program.agent.reward]
+    examples = []
 
     def successes(name: str) -> list[float]:
-        return [float(trace.outcome == "success") for trace in played[name]]
+        return [float(trace.outcome == "success") for trace in t.scripts[name]]
 
-    best = max(played, key=lambda name: sum(successes(name)))
-    names = [term.name for term in t.program.agent.reward]
-    terms = {name: fmean(float(np.nansum(trace.terms[name])) for trace in played[best]) for name in names}
-    return best, [trace.returns for trace in played[best]], successes(best), terms
+    played = [name for name, traces in t.scripts.items() if len(traces) >= MIN_EPISODES]
+    if played:
+        best = max(played, key=lambda name: sum(successes(name)))
+        traces = t.scripts[best]
+        terms = {name: fmean(float(np.nansum(trace.terms[name])) for trace in traces) for name in names}
+        returns = [trace.returns for trace in traces]
+        name = f"the script '{best}'"
+        examples.append(_Example(name, f"an episode of {name}", returns, successes(best), terms, is_script=True))
+    succeeded = [episode for episode in t.final_episodes if episode.is_success] if t.is_last_stage else []
+    if len(succeeded) >= max(MIN_EPISODES, len(t.final_episodes) / 2):
+        terms = {name: fmean(episode.terms.get(name, 0.0) for episode in succeeded) for name in names}
+        returns = [episode.total_return for episode in succeeded]
+        name = "the successful episodes of the evaluation"
+        examples.append(_Example(name, "a successful one", returns, [1.0] * len(returns), terms, is_script=False))
+    return examples
+
+
+def _exploiting_outcome(t: TrainingEvidence, example: _Example) -> _Outcome | None:
+    """Episodes of the policy that return clearly more than the example and succeed clearly less often."""
+    aimed, expected = SuccessRate(example.successes), fmean(example.returns)
+    for outcome in _policy_outcomes(t):
+        policy, gained = SuccessRate(outcome.successes), fmean(outcome.returns)
+        error = 2 * float(np.hypot(_error_of_mean(outcome.returns), _error_of_mean(example.returns)))
+        if policy.high < aimed.low and gained - expected > max(error, _CLEARLY_MORE * abs(expected)):
+            return outcome
+    return None
 
 
 class _Outcome(NamedTuple):

@@ -349,6 +349,8 @@ class TrainingCallback:
         )
 
     def restore(self, state: CallbackState) -> None:
+        if self._until_solved:  # a training that went on after its confirmation stops at the next one
+            self.statistics.solved_at = None
         self._next_check = state.next_beat
         self._confirmations, self._confirmation_steps = state.confirmations, state.confirmation_steps
         self._returns, self._evaluated_at = state.returns, state.evaluated_at
@@ -522,14 +524,19 @@ class TrainingCallback:
         self._report()
         self._met_in_a_row = self._met_in_a_row + 1 if meets else 0
         required = OFF_POLICY_MET_IN_A_ROW if self.learner.is_off_policy else MET_IN_A_ROW
-        if self._met_in_a_row >= required and self.curriculum.is_last and statistics.solved_at is None:
-            self._confirm()
+        if self._met_in_a_row >= required and self._may_confirm:
+            self._confirm(done)
         self.evaluation_seconds += time.monotonic() - began
         if self.curriculum.add_evaluation(summary.mean_return, summary.success_rate, steps, statistics.episodes):
             self.begin_stage()
         self._check_patience()
 
-    def _confirm(self) -> None:
+    @property
+    def _may_confirm(self) -> bool:
+        """Whether a confirmation may still end the training: not where it was confirmed before, or stops for another reason."""
+        return self.curriculum.is_last and self.statistics.solved_at is None and self.stopped_by is None
+
+    def _confirm(self, evaluated: Sequence[Episode]) -> None:
         """Play new starts to show that the present networks solve the task, unless failed confirmations took their share of the steps.
 
         The task is the scenario: the last stage of a curriculum may have other settings.
@@ -545,8 +552,7 @@ class TrainingCallback:
                 )
             return
         assert statistics.solved is not None
-        assert self._evaluated is not None
-        plan = Confirmation.plan(statistics.solved, number, self._possible_returns(), self._evaluated.mean_return)
+        plan = Confirmation.plan(statistics.solved, number, self._possible_returns(), evaluated)
         if plan is None:
             if not self._refused_noted:
                 self._refused_noted = True

@@ -81,8 +81,14 @@ class TrainingProgress:
         steps = self.steps - first_step
         if steps <= 0 or self.steps >= self.total_steps or self.is_ending:
             return None
+        if elapsed < MIN_TIMED_S and steps < MIN_TIMED_SHARE * self.total_steps:
+            return None  # the first updates are slow: they said 20 min of a training of 4
         seconds_per_step = max(0.0, elapsed - self.evaluation_seconds) / steps
         return (self.total_steps - self.steps) * seconds_per_step + self.evaluation_seconds_left
+
+
+MIN_TIMED_S, MIN_TIMED_SHARE = 15.0, 0.05
+"""A training is timed for so many seconds, or so large a share of its steps, before the display says how long it may take."""
 
 
 class Reporter:

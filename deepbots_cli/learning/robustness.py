@@ -123,7 +123,7 @@ def _surely(words: str, boundary: RobustnessLevel, others: Sequence[RobustnessLe
     if boundary.certain:
         return ""
     sure = next((entry.level for entry in others if entry.certain), None)
-    return f" ({words} {sure} for sure)" if sure else " (not significant)"
+    return f" ({words} {sure} with 95 % confidence)" if sure else " (not significant)"
 
 
 def _may_be_ordered(levels: Sequence[RobustnessLevel]) -> bool:

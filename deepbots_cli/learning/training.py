@@ -297,12 +297,14 @@ def resume(
                 f"the training of {known.path} is complete ({steps:,} of {training.total_timesteps:,} timesteps);"
                 f" to continue it, set a total of more than {steps:,} timesteps with `--timesteps N`"
             )
-        was_solved = record.status == "finished" and record.result is not None and record.result.solved_at is not None
+        stopped_as_solved = (
+            record.status == "finished" and record.stop_when_solved and record.result is not None and record.result.solved_at is not None
+        )
         changes: dict[str, Any] = {
             "status": "running",
             "resumed_at": (*record.resumed_at, steps),
             "total_timesteps": training.total_timesteps,
-            "stop_when_solved": (record.stop_when_solved if stop_when_solved is None else stop_when_solved) and not was_solved,
+            "stop_when_solved": (record.stop_when_solved if stop_when_solved is None else stop_when_solved) and not stopped_as_solved,
             "callbacks": tuple(callbacks),
             "loggers": tuple(loggers),
         }
@@ -632,7 +634,8 @@ def learn_until_done(
     try:
         learner.begin(callback.total, callback, followers)
         checkpoints.restore()
-        if statistics.steps >= callback.total:  # it was killed when it was done, before its record said so
+        if statistics.steps >= callback.total:  # it ended before its last evaluation, or before its record said so
+            callback.evaluate(UNLIMITED_SHARE)
             return "finished"
         learner.start()
         while statistics.steps < callback.total and callback.stopped_by is None and checkpoints.before_rollout():
@@ -646,11 +649,16 @@ def learn_until_done(
             if watch is not None:
                 watch(collected - began, time.perf_counter() - collected)
         learner.end()
-        if callback.interruption.requested and statistics.steps < callback.total:
+        is_complete = statistics.steps >= callback.total
+        if callback.interruption.requested and not is_complete:
             return "interrupted"
-        with suppress(KeyboardInterrupt) if statistics.steps >= callback.total else nullcontext():  # nothing is left to continue
+        try:
             callback.evaluate(UNLIMITED_SHARE)
-        if statistics.steps >= callback.total:
+        except KeyboardInterrupt:
+            if is_complete:
+                checkpoints.finish()
+            raise
+        if is_complete:
             checkpoints.finish()
         else:  # in the middle of a rollout, since the task is solved or a callback says so
             learner.save(run.model("last"))

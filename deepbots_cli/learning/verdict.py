@@ -88,7 +88,7 @@ def solved_verdict(
     confirmation = Confirmation.by(solved, number, bounds, episodes)
     if confirmation.passes(done):
         return SolvedVerdict(True, f"solved: {', '.join(reasons)}", solved.episodes)
-    plan = Confirmation.plan(solved, number, bounds, mean_return)
+    plan = Confirmation.plan(solved, number, bounds, done)
     if plan is not None and plan.episodes > episodes:
         luck = f"{', '.join(reasons)} may be luck in {episodes:,} episodes"
         text = f"solved: unknown, because {luck}; evaluate with `--episodes {plan.episodes}`"

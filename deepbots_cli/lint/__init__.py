@@ -6,7 +6,7 @@ of a static rule is its page in the reference.
 
 names.py         unused definitions, equality of measurements, angles that jump              DB205, DB411, DB506
 robots.py        commands, actuators, wheels that slip, rays that pass over everything       DB312 to DB315, DB317, DB319, DB322, DB615
-world.py         objects out of scale, means of engines, how episodes begin                  DB309, DB310, DB316, DB507, DB809, DB812
+world.py         objects out of scale, means of engines, how episodes begin                  DB309, DB310, DB316, DB323, DB507, DB809, DB812
 observations.py  what the policy sees; saturation.py values at the end of their range        DB6
 rewards.py       the size of the reward; shaping.py its direction; incentives.py what pays   DB7, DB810
 cycles.py        what a cycle of states earns that never ends in success                     DB716

@@ -1,4 +1,4 @@
-"""The world: objects out of scale (DB507), engines (DB309, DB316), and how episodes begin (DB310, DB809, DB812)."""
+"""The world: what is out of scale (DB507), engines (DB309, DB316), robots that fall (DB323), how episodes begin (DB310, DB809, DB812)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from deepbots_cli.lint.observations import may_be_noisy
 from deepbots_cli.lint.simulation import MeasuredOverlap
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
-from deepbots_cli.program.robots import Sensor
+from deepbots_cli.program.robots import CustomActuator, Sensor, Thrust
 from deepbots_cli.program.world import ARENA_WALLS, GROUND, ObjectBody, RobotBody, Variant
 from deepbots_cli.robots.model import Capsule, Cylinder, Mesh, Shape, Sphere, volume
 
@@ -33,6 +33,8 @@ _MIN_DENSITY, _MAX_DENSITY = 0.1, 25_000.0
 """kg/m^3; air has 1.2, osmium 22 600, and a toy balloon weighs 0.2 for each m^3."""
 _MAX_SIZE_RATIO = 4.0
 """Times the size of a robot that begins within an object."""
+_MIN_LARGE_ROBOT_M, _MIN_ROBOT_DENSITY = 10.0, 1e-3
+"""m, and kg for each cube of the length; a drone of 0.5 m and 1 kg has 8, an arm of 0.75 m and 3.5 kg too."""
 _MIN_OVERLAP_M = 0.01
 """m; the heights of two bodies overlap by so much if one does not stand on the other."""
 _MAX_MASS_RATIO = 1e5
@@ -50,7 +52,56 @@ A cart or a crate was pushed out of the ground at 0.01 to 0.04 m/s from 4 mm, at
 """
 
 
-# Objects and engines
+# Objects, robots and engines
+
+
+def falls_without_end(context: RuleContext) -> Iterator[Finding]:
+    """DB323: a robot falls without end, because its base is free and nothing of it collides with the ground.
+
+    The rule applies to a robot without `base: fixed` whose robot file has no <collision>, and which has no thrusters. An arm is bolted
+    to the ground: write `base: fixed` under its name in `robots`. `deepbots new --urdf` writes it for an arm.
+
+    Example::
+
+        <robot name="lever">
+          <link name="foot">
+            <inertial><mass value="2"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
+          </link>
+          <link name="arm">
+            <inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
+          </link>
+          <joint name="shoulder" type="revolute">
+            <parent link="foot"/>
+            <child link="arm"/>
+            <limit lower="-1" upper="1" effort="20" velocity="2"/>
+          </joint>
+        </robot>
+
+    Instead::
+
+        <robot name="lever">
+          <link name="foot">
+            <inertial><mass value="2"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
+            <collision><geometry><box size="0.2 0.2 0.1"/></geometry></collision>
+          </link>
+          <link name="arm">
+            <inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
+          </link>
+          <joint name="shoulder" type="revolute">
+            <parent link="foot"/>
+            <child link="arm"/>
+            <limit lower="-1" upper="1" effort="20" velocity="2"/>
+          </joint>
+        </robot>
+    """
+    program, values = context.program, context.values
+    lifted = {robot.name for robot in program.robots if any(isinstance(each, (Thrust, CustomActuator)) for each in robot.actuators)}
+    for body in program.world.robots:
+        if body.fixed_base or body.name in lifted or any(link.collisions for link in body.model.links):
+            continue
+        headline = f"`{body.name}` falls without end: its base is free, and no link of its robot file has a <collision>"
+        help = "write `base: fixed` to bolt it to the world, or give the links that touch the ground a <collision> in the robot file"
+        yield Finding("DB323", values.span_of_first(("robots", body.name), "base", "urdf"), headline, help)
 
 
 def beyond_engine(context: RuleContext) -> Iterator[Finding]:
@@ -84,12 +135,13 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
 
 
 def odd_scale(context: RuleContext) -> Iterator[Finding]:
-    """DB507: the size or the mass of an object is implausible.
+    """DB507: the size or the mass of an object or of a robot is implausible.
 
     A puck with `radius: 4 m` is 8 m across; its radius is probably in centimeters. The rule reports an object in which a robot begins, and
     which is at least four times as large as this robot; a movable object with a density below 0.1 or above 25 000 kg/m^3 (air: 1.2,
     osmium: 22 600); and a movable object that is 100 000 times as heavy as all robots together. For an object that must not move, write
-    `fixed: true` instead of a large mass.
+    `fixed: true` instead of a large mass. It also reports a robot of at least 10 m with a mass of less than 1 g for each cubic meter of its
+    size: lengths in a robot file are in meters, and these are probably in millimeters.
 
     Example::
 
@@ -102,6 +154,12 @@ def odd_scale(context: RuleContext) -> Iterator[Finding]:
     world, values = context.program.world, context.values
     sizes = [(robot, max(footprint.box_sides(footprint.robot_bounds(footprint.without_meshes(robot.model))))) for robot in world.robots]
     robots = [(robot, size) for robot, size in sizes if size > 0.0]
+    for robot, size in robots:
+        mass = sum(link.inertial.mass for link in robot.model.links if link.inertial is not None)
+        if size >= _MIN_LARGE_ROBOT_M and 0.0 < mass < _MIN_ROBOT_DENSITY * size**3:
+            headline = f"`{robot.name}` is {with_unit(size, LENGTH)} long and has a mass of {with_unit(mass, MASS)}"
+            help = 'write the lengths of the robot file in meters, and `scale="0.001 0.001 0.001"` at a mesh in millimeters'
+            yield Finding("DB507", values.span_of_first(("robots", robot.name), "urdf"), headline, help)
     met: set[NodePath] = set()
     for thing in world.objects:
         for path, kind in _forms(thing):
@@ -419,6 +477,7 @@ def _order(simulation: Simulation, name: str) -> int:
 
 STATIC_RULES = (
     beyond_engine,
+    falls_without_end,
     odd_scale,
     identical_episodes,
     requirement_not_redrawn,

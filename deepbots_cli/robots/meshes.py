@@ -40,6 +40,8 @@ _FACE = re.compile(rb"^[ \t]*f([ \t][^\n]*)", re.MULTILINE)
 _INDEX = re.compile(rb"[ \t]-?0*([0-9]+)")
 _LINES = re.compile(rb"^[ \t]*(?=[vf][ \t])", re.MULTILINE)
 _MAX_LINES = 400_000  # vertices and faces of an OBJ file; 32 MiB could hold millions, and take seconds and a gigabyte to read
+_MAX_COORDINATE = 1e6  # in the units of the mesh: 1 km in millimeters
+_LARGE_NUMBER = re.compile(rb"(?<![0-9.])[0-9]{7}|[eE]\+?0*[1-9]")
 _MAX_CORNERS = 1_500_000
 _COLLADA = ("asset", "library_geometries", "library_visual_scenes")
 _ARCHIVES = (b"PK\x03\x04", b"PK\x05\x06", b"\x1f\x8b", b"BZh", b"\xfd7zXZ\0", b"7z\xbc\xaf", b"Rar!", b"\x28\xb5\x2f\xfd")
@@ -248,11 +250,21 @@ def mesh_problem(suffix: str, data: bytes) -> str | None:
     """The headline for the first problem of a mesh; None if an engine may load it."""
     match suffix:
         case ".stl":
-            return _stl(data)
+            return _stl(data) or _far_out(suffix, data)
         case ".obj":
-            return _obj(data)
+            return _obj(data) or _far_out(suffix, data)
         case _:
             return _dae(data)
+
+
+def _far_out(suffix: str, data: bytes) -> str | None:
+    """A vertex beyond all plausible sizes: engines search a grid as large as the mesh, and do not end."""
+    is_text = suffix == ".obj" or (data.lstrip()[:5].lower() == b"solid" and b"facet" in data)
+    if is_text and not _LARGE_NUMBER.search(data):
+        return None
+    size = mesh_size(suffix, data)
+    farthest = max(map(abs, (*size.lower, *size.upper))) if size else 0.0
+    return f"the mesh has a vertex at {farthest:.2g}, and the limit is {_MAX_COORDINATE:.0g}" if farthest > _MAX_COORDINATE else None
 
 
 class MeshSize(NamedTuple):

@@ -13,6 +13,7 @@ A run, a group, a study and an open recording keep their scenario as `resolved.y
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -21,7 +22,7 @@ from pathlib import Path
 from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.diagnostics.nearest import nearest_word
-from deepbots_cli.document import Document, Permissions, load, loads, shipped
+from deepbots_cli.document import Document, Permissions, files, load, loads, shipped
 from deepbots_cli.document.load import NO_DRAFTS, TESTS, TUNE, Drafts
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.scenario import Scenario
@@ -30,6 +31,8 @@ RECORD_NAME = "run.json"
 GROUP_RECORD_NAME = "group.json"
 STUDY_RECORD_NAME = "study.json"
 MODELS_FOLDER = "models"
+_MAX_ABOVE = 4
+_MAX_LISTED = 8
 RECORDING_SUFFIX = ".mcap"
 
 
@@ -86,6 +89,8 @@ class Source:
                 hint = f"; name one of its trials, such as {found.path}/trial-0"
             elif SourceKind.RUN in kinds and found.kind is SourceKind.GROUP:
                 hint = f"; name one of its runs, such as {found.path}/seed-0"
+            elif SourceKind.RUN in kinds and found.kind is SourceKind.SCENARIO and found.path.suffix in (".yaml", ".yml"):
+                hint = f"; train it first with `deepbots train {found.name}`, or name one of its runs, which `deepbots runs` lists"
             elif SourceKind.RUN in kinds and found.kind is SourceKind.CHECKPOINT:
                 hint = f"; name the run: {found.path}"
             raise error(f"{found.name} is {what}, and not {wanted}{hint}")
@@ -98,7 +103,8 @@ class Source:
             if kind is not None:
                 return cls.kept(path, permissions, kind)
             if path.suffix.lower() in (".urdf", ".xacro"):
-                raise error(f"{name} is a robot file, not a scenario; `deepbots inspect {name}` describes it")
+                new = f"`deepbots new {_name_for(path)} --urdf {name}` writes a scenario for it"
+                raise error(f"{name} is a robot file, not a scenario; `deepbots inspect {name}` describes it, {new}")
             found = None if path.is_file() else shipped.scenario_path(name)  # a folder of the same name does not hide it
             if found is not None:
                 return cls(SourceKind.SCENARIO, found.name, found, found, permissions)
@@ -162,14 +168,55 @@ def folder_kind(path: Path) -> SourceKind | None:
     return None
 
 
+def _name_for(path: Path) -> str:
+    """The name of a new scenario for a robot file."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", path.stem) or "mine"
+
+
 def _hint(path: Path) -> str:
     inside = Path("runs") / path
     beside = [path.with_name(path.name + ending) for ending in (".yaml", ".yml")]
     near = next((str(file) for file in (*beside, inside) if file.exists()), None)
     if near is not None:
         return f"did you mean {near}?"
+    here = Path.cwd()
+    if elsewhere := _elsewhere(path, here):
+        return f"did you mean {elsewhere}? The current folder is {here}"
     names = shipped.scenario_names()
-    if path.stem in names:  # as in `cartpole.yaml`
+    if path.stem in names and len(path.parts) == 1:  # as in `cartpole.yaml`
         return f"the shipped scenario is called `{path.stem}`; `deepbots new {path.stem} --from {path.stem}` copies it to {path.stem}.yaml"
+    if _is_path_of_run(path):
+        return f"the current folder is {here}; `deepbots runs` lists the runs in its folder runs"
+    if path.suffix in (".yaml", ".yml") and path.stem not in names:
+        return f"the current folder is {here}{_scenario_files(here, path)}"
     near = nearest_word(path.stem, names)
     return f"did you mean {near}? (`deepbots scenarios` shows all)" if near else f"the shipped scenarios are: {', '.join(names)}"
+
+
+def _is_path_of_run(path: Path) -> bool:
+    return path.parts[:1] == ("runs",) or re.search(r"-\d+-\d+$|-seeds-\d+$|-tune-\d+$", path.name) is not None or path.suffix == ".zip"
+
+
+def _elsewhere(path: Path, here: Path) -> str | None:
+    """Where the named file lies: in a folder above, or below this one."""
+    if path.is_absolute() or not (path.suffix or _is_path_of_run(path)):
+        return None
+    with_runs = Path("runs") / path
+    for above in (*here.parents,)[:_MAX_ABOVE]:
+        for name in (path, with_runs):
+            if (above / name).exists():
+                return os.path.relpath(above / name, here)
+    inside = path.relative_to(here.name) if path.parts[0] == here.name and len(path.parts) > 1 else None  # as `hw/mine.yaml` in hw
+    if inside is not None and inside.exists():
+        return str(inside)
+    found = None if _is_path_of_run(path) else files.find_in(here, path.name, depth=1)
+    return os.path.relpath(found, here) if found else None
+
+
+def _scenario_files(here: Path, path: Path) -> str:
+    """The scenario files of a folder, the nearest in name first."""
+    names = sorted(file.name for file in here.glob("*.y*ml"))
+    near = nearest_word(path.name, names)
+    if near:
+        return f"; did you mean {near}?"
+    return f", whose .yaml files are {', '.join(names[:_MAX_LISTED])}" if names else ", which has no .yaml file"

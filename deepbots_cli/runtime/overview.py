@@ -21,6 +21,7 @@ _FLAT_EYE_RISE = 0.9  # how much higher the eye stands over what is flat
 _VIEW_MARGIN = 1.08
 _SCENE_SPACING = 1.1  # how far apart two scenes stand, as a factor
 _MIN_HALF_SIDE_M = 0.05  # m; half the side of the smallest scene
+_LARGE, _ROOM_IN_THE_LARGE = 15.0, 3.0  # times the side of a robot: what dwarfs it, and what is shown of that on each side
 _LEG_ROOM, _ARM_ROOM = 0.2, 0.12  # of its largest side, around a robot that the view follows, and one with a fixed base
 
 Parameters = Mapping[tuple[str, str | None], Scalar]
@@ -43,8 +44,11 @@ def extent(scenario: Program) -> list[Bounds]:
         for component, scalar in zip(each.typed.type.components or (None,), each.scalars, strict=True)
     }
     world = scenario.world
-    boxes = [*_surroundings(world), *_robots(scenario, places, parameters)]
-    boxes += [box for thing in world.objects for box in _object(thing, world, places, parameters)]
+    robots = list(_robots(scenario, places, parameters))
+    around = [*_surroundings(world), *(box for thing in world.objects for box in _object(thing, world, places, parameters))]
+    if world.arena is None and robots:
+        around = list(_near(robots, around))
+    boxes = [*robots, *around]
     if world.arena is None:
         return boxes
     x, y = (side / 2 + world.arena.wall_thickness for side in world.arena.size)  # what looks for a place stays within the walls
@@ -141,6 +145,19 @@ def _object(thing: ObjectBody, world: WorldModel, places: dict[str, Placement], 
     for shape in (thing.shape, *(variant.shape for variant in thing.variants)):
         low, high = bounds_of_shape(shape)
         yield _placed(_all_round((low, high)) if thing.pose.rpy[2] else (low, high), thing.pose.xyz, place, world, places, parameters)
+
+
+def _near(robots: Sequence[Bounds], boxes: Iterable[Bounds]) -> Iterator[Bounds]:
+    """The boxes, of which those that dwarf the robots are cut to the part around them: on a field of 20 m, a robot is a dot."""
+    side = max(high - low for box in robots for low, high in zip(*box, strict=True))
+    low, high = box_around(robots)
+    room = (_ROOM_IN_THE_LARGE * side,) * 3
+    low, high = add(low, scaled(room, -1.0)), add(high, room)
+    for start, end in boxes:
+        cut = tuple(map(max, start, low)), tuple(map(min, end, high))
+        is_large = max(b - a for a, b in zip(start, end, strict=True)) > _LARGE * side
+        is_cut = is_large and all(a <= b for a, b in zip(*cut, strict=True))
+        yield ((cut[0][0], cut[0][1], cut[0][2]), (cut[1][0], cut[1][1], cut[1][2])) if is_cut else (start, end)
 
 
 def _all_round(box: Bounds) -> Bounds:

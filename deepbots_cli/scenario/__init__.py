@@ -7,6 +7,8 @@ search.py       the search spaces of `tune`
 world.py sensors.py actuators.py training.py
                 sections
 scenario.py     Scenario, the whole file: robots, messages, the task
+synonyms.py     what people write instead of a word of the language: the table synonyms.yaml
+keys.py         what findings say about a key, and about an unknown one
 validate.py     nodes to a Scenario; validation errors become findings with exact places
 json_schema.py  the JSON Schema for editors: `python -m deepbots_cli.scenario.json_schema` writes it
 """

@@ -129,20 +129,11 @@ class Size:
         return value
 
 
-class InsteadOf:
-    """In the annotation of a key: the words that people write instead of it. The finding about such an unknown key shows this one."""
-
-    def __init__(self, *words: str) -> None:
-        self.words = words
-
-
 def key_instead_of(section: type[Section], word: str) -> str | None:
-    """The key of a section that `word` is written for: one with this note, or the same word in American spelling."""
-    american = word.replace("colour", "color")
-    if american != word and american in section.model_fields:
-        return american
-    notes = ((key, note) for key, info in section.model_fields.items() for note in info.metadata)
-    return next((key for key, note in notes if isinstance(note, InsteadOf) and word in note.words), None)
+    """The key of a section that `word` is written for."""
+    from deepbots_cli.scenario.synonyms import key_for  # only on the way to a finding
+
+    return key_for(word, section.model_fields, (model.__name__ for model in section.__mro__))
 
 
 @dataclass(frozen=True)
@@ -261,12 +252,19 @@ class Kinds:
             return self.models[word]
         return next((model for marker, model in self.models_by_marker.items() if word is None and marker in value), None)
 
+    def _example(self, value: object) -> str:
+        """A section with the required keys, of the kind that a single value names."""
+        name = value if isinstance(value, str) and value in self.models else self.names[0]
+        required = [key for key, info in self.models[name].model_fields.items() if info.is_required() and key != self.key]
+        entries = {self.key: name, **{key: example_text(self.models[name], key) for key in required}}
+        return f"{{{', '.join(f'{key}: {text}' for key, text in entries.items() if text)}}}"
+
     def validate(self, value: object, info: ValidationInfo) -> Section:
         model = self.find(value)
         if model is not None:
             return model.model_validate(value, context=info.context)
         if not isinstance(value, Mapping):
-            raise mismatch("a mapping", f"write it like `{{{self.key}: {self.names[0]}}}`", value=value)
+            raise mismatch("a mapping", f"write it like `{self._example(value)}`", value=value)
         if self.key not in value:
             wanted = " or ".join(f"`{key}`" for key in (self.key, *self.models_by_marker))
             help = f"write `{self.key}`: one of {', '.join(f'`{name}`' for name in self.names)}"

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, Literal
@@ -19,10 +19,11 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-from deepbots_cli.diagnostics.nearest import Replacement, nearest_word, suggest_replacement
+from deepbots_cli.diagnostics.nearest import MAX_BESIDE, Replacement, is_typo, nearest_word, suggest_replacement
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, UNITS, Dimension
 from deepbots_cli.expressions.types import PLANE, SPACE, Components, shortened_list
+from deepbots_cli.scenario.synonyms import word_for
 
 Scalar = str | int | float
 JsonSchema = dict[str, object]
@@ -71,51 +72,20 @@ def counted_noun(number: int, noun: str) -> str:
 
 # Probable words
 
-_OTHER_NAMES = {
-    "cartesian": "ik inverse_kinematics end_effector eef ee tcp osc operational_space cartesian_position task_space",
-    "velocity_motor": "velocity velocity_control motor wheel wheels",
-    "position_motor": "position position_control servo pd pid",
-    "torque_motor": "torque torque_control effort",
-    "thrust": "rotor propeller thruster",
-    "gripper": "finger fingers parallel_gripper hand",
-    "joint_position": "encoder joint_angle joint_pos qpos",
-    "joint_velocity": "joint_speed joint_vel qvel",
-    "joint_torque": "joint_effort",
-    "projected_gravity": "tilt gravity gravity_vector",
-    "compass": "magnetometer",
-    "position": "gps",
-    "touch": "bumper contact collision",
-    "force": "force_torque ft wrench",
-    "infrared": "ir proximity",
-    "sonar": "ultrasonic ultrasound",
-    "laser": "rangefinder ray",
-    "lidar": "laser_scanner laser_scan scanner rays",
-    "reflectance": "line_sensor ground_sensor",
-    "camera": "rgb image picture vision",
-    "box": "cube cuboid block",
-    "sphere": "ball",
-    "cylinder": "disc disk puck",
-    "any": "random rand uniform arbitrary",
-}
-"""Words of the language with their names in other tools."""
-
-
-def word_for_foreign_name(word: str, known: Iterable[str]) -> str | None:
-    """The `known` word for a name in other tools."""
-    plain = word.lower().replace("-", "_").replace(" ", "_")
-    return next((of_language for of_language in known if plain in _OTHER_NAMES.get(of_language, "").split()), None)
-
 
 def choices_help(word: str, words: Sequence[str]) -> str:
-    """The help for an unknown word: the probable word, and all known words."""
-    near = word_for_foreign_name(word, words) or nearest_word(word, words)
+    """The help for an unknown word: the probable word, and all known words; a long list is left out beside a word that is hardly wrong."""
+    other = word_for(word, words)
+    near = other or nearest_word(word, words)
+    if near and len(words) > MAX_BESIDE and (other or is_typo(word, near)):
+        return f"did you mean `{near}`?"
     listed = shortened_list((f"`{known}`" for known in words), _MAX_LISTED)
     return f"did you mean `{near}`? known names: {listed}" if near else f"known names: {listed}"
 
 
 def word_replacement(word: str, words: Sequence[str]) -> Replacement | None:
     """The probable word of the language, as a replacement."""
-    other = word_for_foreign_name(word, words)
+    other = word_for(word, words)
     return Replacement(other, safe=False) if other else suggest_replacement(word, words, of_language=True)
 
 
@@ -144,6 +114,24 @@ def count_replacement(value: object) -> str | None:
         return f"{int(value):_}"
     found = re.fullmatch(r"([0-9]{1,6})([kKM])", value) if isinstance(value, str) else None
     return f"{int(found[1]) * (1_000_000 if found[2] == 'M' else 1_000):_}" if found else None
+
+
+def number_replacement(value: object) -> Replacement | None:
+    """The number that a text in quotes, or with a decimal comma, was meant to be; a comma may also group thousands."""
+    text = value.strip() if isinstance(value, str) else ""
+    if re.fullmatch(_NUMBER, text):
+        return Replacement(text, safe=True)
+    if found := re.fullmatch(r"([-+]?[0-9]+),([0-9]+(?:[eE][-+]?[0-9]+)?)", text):
+        return Replacement(f"{found[1]}.{found[2]}", safe=len(found[2]) != 3 or found[1].lstrip("+-") == "0")
+    return None
+
+
+def _number_help(value: object) -> str | None:
+    near = number_replacement(value)
+    if near is None:
+        return None
+    is_quoted = isinstance(value, str) and "," not in value
+    return f"write `{near.text}` without quotes" if is_quoted else f"write `{near.text}`: decimals need a point"
 
 
 # Checks of numbers
@@ -296,6 +284,12 @@ class Number(FieldType):
         for number in map(read_fraction, found.groups()) if found else [value]:
             check_bounds(number, self.minimum, self.maximum, exclusive=self.exclusive, is_share=self.maximum == 1)
 
+    def help_for(self, value: object) -> str | None:
+        return _number_help(value) or super().help_for(value)
+
+    def replacement_for(self, value: object) -> Replacement | None:
+        return number_replacement(value)
+
     def json_schema(self) -> JsonSchema:
         bounds = {"exclusiveMinimum" if self.exclusive else "minimum": self.minimum, "maximum": self.maximum}
         schema = self._matching(f"^({self.pattern}|{GROUPED_DIGITS})$" if self.pattern else f"^{GROUPED_DIGITS}$")
@@ -318,8 +312,11 @@ class WholeNumber(Number):
         return f"write `{near}`; digits are grouped as in `100_000`" if near else super().help_for(value)
 
     def replacement_for(self, value: object) -> Replacement | None:
-        near = count_replacement(value) if isinstance(value, str) else None
-        return Replacement(near, safe=True) if near else None
+        near = count_replacement(value)
+        if near:
+            return Replacement(near, safe=isinstance(value, str))
+        meant = super().replacement_for(value)
+        return meant if meant and re.fullmatch(r"[-+]?[0-9_]+", meant.text) else None
 
 
 @dataclass(frozen=True)
@@ -483,6 +480,8 @@ class Quantity(Parsed):
         return self.example_text or " ".join([number] * (self.components or 1) + [unit]).strip()
 
     def check(self, value: Any) -> None:
+        if self.dimension == "number" and not self.components and (near := number_replacement(value)):
+            raise mismatch(self.noun, _number_help(value), near, value=value)
         found, wanted = count_literal(value) if isinstance(value, str) else 1, self.components or 1
         if found not in (None, wanted):
             raise error("DB106", f"expected {counted_noun(wanted, 'number')}, found {found}", self._help_for_count(str(value), found))
@@ -513,8 +512,17 @@ class Quantity(Parsed):
 
     def help_for(self, value: object) -> str | None:
         if isinstance(value, list) and self.components:
-            return f"write the numbers in one text, like `{self.example}`"
+            near = self.replacement_for(value)
+            return f"write the numbers in one text: `{near.text}`" if near else f"write the numbers in one text, like `{self.example}`"
         return super().help_for(value)
+
+    def replacement_for(self, value: object) -> Replacement | None:
+        """`0 0 1 m` for the list `[0, 0, 1]`."""
+        numbers = value if isinstance(value, list) and len(value) == self.components else []
+        if not numbers or not all(isinstance(each, (int, float)) for each in numbers):
+            return None
+        unit = self.example.split()[self.components or 1 :]
+        return Replacement(" ".join([*(f"{each:g}" for each in numbers), *unit]), safe=False)
 
     def json_schema(self) -> JsonSchema:
         return {"type": "string"} if self.components else super().json_schema()
@@ -809,6 +817,10 @@ def read_until(value: object) -> tuple[str, float, int | None] | None:
     return ("steps", float(match[1]), 1) if match else None
 
 
+MAX_SOLVED_EPISODES = 10_000
+"""Of `solved`: a confirmation plays at least as many new starts, and at most ten times as many."""
+
+
 class Until(FieldType):
     """When a stage of the curriculum is done."""
 
@@ -849,6 +861,12 @@ class Solved(Until):
     def has_form(self, value: object) -> bool:
         found = read_until(value)
         return found is not None and found[0] != "steps" and found[2] is not None
+
+    def check(self, value: Any) -> None:
+        super().check(value)
+        _, _, episodes = read_until(value) or ("", 0.0, None)
+        if episodes is not None:
+            check_bounds(episodes, 1, MAX_SOLVED_EPISODES)
 
     def help_for(self, value: object) -> str | None:
         metrics = [key for key in ("mean_return", "success_rate") if key in value] if isinstance(value, dict) else []

@@ -8,7 +8,7 @@ from pydantic import Field, PrivateAttr
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.message_formats import FORMATS
 from deepbots_cli.scenario.actuators import AnyActuator, JointPosition
-from deepbots_cli.scenario.base import FORMS, InsteadOf, KeyCount, Many, Section, Size, visit_values
+from deepbots_cli.scenario.base import FORMS, KeyCount, Many, Section, Size, visit_values
 from deepbots_cli.scenario.fields import (
     BodyName,
     Bool,
@@ -365,7 +365,7 @@ class ScenarioTest(Section):
 
     key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("driver", "actions"), min=1), KeyCount(("case", "stage")))
 
-    driver: Annotated[Annotated[str, Reference("driver")] | None, InsteadOf("policy", "script")] = None
+    driver: Annotated[str, Reference("driver")] | None = None
     """Who acts: a script, `random`, or `zero` (the middle of each range and the first option of each choice)."""
     actions: Annotated[Many[Annotated[FixedAction | Choice, FORMS]], Size(1, "action")] | None = None
     """Actions of the first steps; the episode stops after the last of them."""
@@ -502,7 +502,7 @@ class Reset(Section):
     place: Places = {}
     """Start poses of robots and objects. Bodies with coordinates are placed first; the others follow in the order of the file, and avoid
     the bodies placed before."""
-    joints: Annotated[dict[Annotated[str, Reference("joints")], Annotated[JointState | JointAngle, FORMS]], InsteadOf("set")] = {}
+    joints: dict[Annotated[str, Reference("joints")], Annotated[JointState | JointAngle, FORMS]] = {}
     """Start positions of joints or of groups of joints, such as `cart.pole_hinge: uniform(-1 .. 1 deg)`."""
     layout: Annotated[Mixture | LayoutName, FORMS] | None = None
     """The layout to use, or several layouts with their probabilities, such as `{scattered: 88 %, paper: 12 %}`."""

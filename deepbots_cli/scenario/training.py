@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from deepbots_cli.plugins import PluginTable
-from deepbots_cli.scenario.base import FORMS, InsteadOf, Kinds, Many, Section, check_kind_model
+from deepbots_cli.scenario.base import FORMS, Kinds, Many, Section, check_kind_model
 from deepbots_cli.scenario.fields import Bool, Fraction, Number, PlainText, PositiveInt, Scalar, Schedule, WholeNumber
 
 MAX_SHARDS = 256
@@ -90,7 +90,7 @@ class Training(Section):
     """Number of groups of environments, each with a copy of the policy."""
     staleness: Annotated[int, WholeNumber(0, 1)] = 0
     """Age of the weights with which shards collect, in updates. With 1, shards on workers collect the next steps during an update."""
-    network: Annotated[PolicyNetwork, InsteadOf("policy")] = Field(default_factory=PolicyNetwork)
+    network: PolicyNetwork = Field(default_factory=PolicyNetwork)
     """The network of the policy."""
     patience: Annotated[int, WholeNumber(1, 10**12)] | None = None
     """Number of timesteps without a better evaluation after which the training ends. Default: it does not end before the last."""
@@ -355,6 +355,7 @@ SET_ELSEWHERE_HELP: Mapping[str, str] = {
     "replay_buffer_class": "write `replay: her`",
     "replay_buffer_kwargs": "write `replay: {type: her, n_sampled_goal: 4}`",
     "lstm_hidden_size": "write `lstm: 64`",
-    "n_envs": "write `environments`",
+    "episodes": "write `total_timesteps: 100_000`: deepbots counts the steps of a training, not its episodes",
+    "n_episodes": "write `total_timesteps: 100_000`: deepbots counts the steps of a training, not its episodes",
 }
 """Hyperparameters of other tools, and where they are set here."""

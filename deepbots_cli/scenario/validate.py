@@ -7,42 +7,35 @@ everything that is sound, and nothing is reported twice.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from deepbots_cli.diagnostics import Finding, Findings, Fix, Span, TooManyFindings
-from deepbots_cli.diagnostics.nearest import Replacement, nearest_word, suggest_replacement
+from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Span, TooManyFindings
+from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.document import nodes
 from deepbots_cli.document.hints import GIVE_A_VALUE
 from deepbots_cli.document.nodes import Node, NodePath, ScalarNode, descend, to_data, walk
+from deepbots_cli.document.parse import resolve_plain_scalar
 from deepbots_cli.scenario.base import (
     LENIENT,
     Forms,
     Kinds,
     MappingOf,
     Shape,
-    fits,
-    key_instead_of,
     noun_of,
-    section_fields,
     set_paths,
     shape_at,
-    walk_sections,
 )
 from deepbots_cli.scenario.fields import FieldType, error, mismatch
+from deepbots_cli.scenario.keys import about_key, keys_of, listed, suggestion_for
 from deepbots_cli.scenario.scenario import VERSION, Scenario
-from deepbots_cli.scenario.training import SET_ELSEWHERE_HELP, Training
 
 # The language is nine levels deep; each round takes out at least the innermost faulty one.
 _MAX_ROUNDS = 16
 _MAX_SHOWN_CHARACTERS = 40
-_MAX_EXAMPLE_CHARACTERS = 120
-_RESERVED = {"agents": "competing agents are not supported yet"}
 
 _OWN_SECTION_HELP = "move it to the top level: indent this key, and its contents with it, by one level less"
 # Stand-ins for required sections that had findings, so that the other sections are still looked at.
@@ -148,11 +141,10 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
         return _Problem(path, finding, (str(key),))
     if kind == "extra_forbidden":
         headline = f"unknown key `{str(path[-1])[:60]}` {_place(path[:-1])}"
-        near = replacement_for(data, path)
-        help, fits_there = _help_for_renamed(root, data, path)
-        help = help or _help_for_unknown(data, path) or about_key(data, path)
-        fix = _fix(descend(root, path)[1], near) if fits_there else None
-        return _Problem(path, Finding("DB101", _key_span(root, path), headline, help, fix=fix), replacement=near)
+        meant = suggestion_for(root, data, path)
+        fix = _fix(descend(root, path)[1], meant.replacement) if meant.is_fix else None
+        finding = Finding("DB101", _key_span(root, path), headline, meant.help or about_key(data, path), fix=fix)
+        return _Problem(path, finding, replacement=meant.replacement)
     node, key_node, _ = descend(root, path)
     at_key = path[-1:] == ("[key]",) and not (isinstance(node, nodes.MappingNode) and "[key]" in node.entries)
     path = path[:-1] if at_key else path
@@ -161,7 +153,7 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
     headline, help, near = context["headline"], context["help"], context["replacement"]
     if expected := context.get("expected"):
         headline = f"expected {expected}, found {_describe(node)}"
-        help = help or _keys_of(shape_at(Scenario, data, path))
+        help = help or keys_of(shape_at(Scenario, data, path))
         if hint := _typing_hint(node, data, path):
             help, near = hint[0], near or hint[1]
     elif kind == "DB102":
@@ -186,9 +178,11 @@ def _key_span(root: nodes.MappingNode, path: NodePath) -> Span:
 
 
 def _fix(word: Node | None, near: Replacement | None) -> Fix | None:
-    return (
-        Fix.replacing(word.part(0, len(word.text)), word.text, near.text, safe=near.safe) if near and isinstance(word, ScalarNode) else None
-    )
+    if near is None or not isinstance(word, ScalarNode):
+        return None
+    if word.style in ("single", "double") and resolve_plain_scalar(near.text) != near.text:  # a number loses its quotes
+        return Fix((Edit(word.span, near.text),), near.safe)
+    return Fix.replacing(word.part(0, len(word.text)), word.text, near.text, safe=near.safe)
 
 
 def _reworded(shape: Shape | None, value: object, message: str) -> dict[str, Any]:
@@ -244,7 +238,7 @@ def _is_follow_up(root: nodes.MappingNode, problem: _Problem) -> bool:
     node = descend(root, problem.path)[0]
     if not isinstance(node, nodes.MappingNode) or not node.partial:
         return False
-    empty = {key.text for key in node.keys_without_value}
+    empty = {key.text.partition(":")[0] for key in node.keys_without_value}
     is_missing = problem.finding.code == "DB102" and (not empty or not empty.isdisjoint(problem.missing))
     return is_missing or problem.finding.code == "DB107"
 
@@ -287,7 +281,7 @@ def _merge_missing_sections(root: nodes.MappingNode, problems: list[_Problem]) -
     if len(lacking) < 2:
         return problems
     missing = tuple(key for problem in lacking for key in problem.missing)
-    headline = f"missing keys {_listed(missing)} {_place(())}"
+    headline = f"missing keys {listed(missing)} {_place(())}"
     help, *notes = (problem.finding.help or "" for problem in lacking)
     together = _Problem((), Finding("DB102", _key_span(root, ()), headline, help, notes=tuple(filter(None, notes))), missing)
     return [together, *(problem for problem in problems if problem not in lacking)]
@@ -311,7 +305,7 @@ def _help_for_missing_value(data: object, path: NodePath) -> str:
         return message
     holder = shape_at(Scenario, data, path[:-1], choose=False)
     if isinstance(holder, Kinds) and path[-1] == holder.key:
-        return f"use one of {_listed(holder.names)}"
+        return f"use one of {listed(holder.names)}"
     holder = shape_at(Scenario, data, path[:-1])
     if not isinstance(holder, MappingOf):
         return GIVE_A_VALUE
@@ -323,7 +317,7 @@ def _help_for_missing_value(data: object, path: NodePath) -> str:
         case Forms() as shape:
             hint = shape.help_for(None)
         case shape:
-            hint = _keys_of(shape)
+            hint = keys_of(shape)
     return hint or f"write {noun_of(shape)}"
 
 
@@ -345,106 +339,3 @@ def _name_of(path: NodePath) -> str:
 def _shortened(text: str) -> str:
     line = " ".join(text.split())
     return line if len(line) <= _MAX_SHOWN_CHARACTERS else f"{line[: _MAX_SHOWN_CHARACTERS - 3]}..."
-
-
-def _listed(words: Iterable[str]) -> str:
-    return ", ".join(f"`{word}`" for word in words)
-
-
-def _keys_of(shape: Shape | None) -> str | None:
-    return f"allowed keys: {_listed(shape.model_fields)}" if isinstance(shape, type) else None
-
-
-def about_key(data: object, path: NodePath) -> str | None:
-    """The sentence about the innermost known key of a path."""
-    from deepbots_cli.scenario.base import example_of, key_description  # only on the way to a finding
-
-    steps = next((path[:depth] for depth in range(len(path), 0, -1) if isinstance(path[depth - 1], str)), ())
-    section = shape_at(Scenario, data, steps[:-1]) if steps else None
-    key = str(steps[-1]) if steps else ""
-    if not isinstance(section, type) or key not in section.model_fields:
-        return None
-    text = key_description(section, key).rstrip(".")
-    example = None if re.search("such as `|`{", text) else example_of(section, key)
-    shown = (
-        f". Example: `{key}: {example.text}`"
-        if example and "\n" not in example.text and len(example.text) <= _MAX_EXAMPLE_CHARACTERS
-        else ""
-    )
-    return f"`{key}`: {text[:1].lower()}{text[1:]}{shown}"
-
-
-def _help_for_renamed(root: nodes.MappingNode, data: object, path: NodePath) -> tuple[str | None, bool]:
-    """The help for a word that is written instead of a key: the entry with the key, if it is on one line and fits; and whether it fits."""
-    section, (value, word, _) = shape_at(Scenario, data, path[:-1]), descend(root, path)
-    key = key_instead_of(section, str(path[-1])) if isinstance(section, type) else None
-    if key is None or word is None:
-        return None, True
-    if not fits(section_fields(section)[key], to_data(value)):
-        elsewhere = SET_ELSEWHERE_HELP.get(str(path[-1])) if isinstance(section, type) and issubclass(section, Training) else None
-        return elsewhere or f"write `{key}` instead. {about_key(data, (*path[:-1], key))}", False
-    behind = word.span.source.text[word.span.end : value.span.end] if value.span.source is word.span.source else ""
-    is_short = re.fullmatch(rf":[^\n]{{1,{_MAX_EXAMPLE_CHARACTERS}}}", behind)
-    return f"write `{key}{behind if is_short else ''}`", True
-
-
-def _help_for_unknown(data: object, path: NodePath) -> str | None:
-    """The help for an unknown key: where it belongs, the probable key, or the known keys."""
-    *_, key = map(str, path)
-    parent = path[:-1]
-    section = shape_at(Scenario, data, parent)
-    if not isinstance(section, type):
-        return None
-    if not parent and key in _RESERVED:
-        return _RESERVED[key]
-    if issubclass(section, Training) and key in SET_ELSEWHERE_HELP:
-        return SET_ELSEWHERE_HELP[key]
-    known = tuple(section.model_fields)
-    here = f"allowed keys: {_listed(known)}"
-    kinds = shape_at(Scenario, data, parent, choose=False)
-    others = []
-    if isinstance(kinds, Kinds):
-        others = [name for name, model in kinds.models.items() if key in model.model_fields and name != kinds.default]
-    if others:
-        return f"remove it: only {_listed(others)} {'uses' if len(others) == 1 else 'use'} this key; {here}"
-    near = nearest_word(key, known)
-    belongs = _nearest_home(parent, key)
-    if belongs is not None and (near is None or near.replace("_", "") != key.lower().replace("_", "")):
-        return f"move it {belongs}; {here}"
-    return f"did you mean `{near}`? {here}" if near else _keys_of(section)
-
-
-def replacement_for(data: object, path: NodePath) -> Replacement | None:
-    """The probable key for an unknown one; not a safe fix if the unknown key exists elsewhere in the language."""
-    section = shape_at(Scenario, data, path[:-1])
-    if not isinstance(section, type):
-        return None
-    if renamed := key_instead_of(section, str(path[-1])):
-        return Replacement(renamed, safe=True)
-    near = suggest_replacement(str(path[-1]), tuple(section.model_fields), of_language=True)
-    return near and near._replace(safe=near.safe and path[-1] not in _homes())
-
-
-@cache  # a file may hold thousands of unknown keys, and the walk takes a millisecond
-def _homes() -> Mapping[str, frozenset[tuple[str, ...]]]:
-    """The paths of the sections that have each key; `*` stands for a name that the user chooses."""
-    found: dict[str, set[tuple[str, ...]]] = {}
-    for home, section, _ in walk_sections(Scenario):
-        for key in section.model_fields if isinstance(section, type) else ():
-            found.setdefault(key, set()).add(home)
-    return {key: frozenset(places) for key, places in found.items()}
-
-
-def _nearest_home(parent: NodePath, key: str) -> str | None:
-    """The nearest place where this key exists, unless there are many."""
-    here = tuple(step for step in parent if isinstance(step, str))
-
-    def shared(home: tuple[str, ...]) -> int:
-        pairs = list(zip(home, here, strict=False))
-        return next((i for i, (known, written) in enumerate(pairs) if known not in ("*", written)), len(pairs))
-
-    found = sorted(_homes().get(key, ()), key=lambda home: (-shared(home), len(home), home))
-    if not found or len(found) > 6:
-        return None
-    best = found[0]
-    return f"under `{'.'.join('<name>' if step == '*' else step for step in best)}`" if best else "at the top level"

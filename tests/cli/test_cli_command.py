@@ -189,13 +189,13 @@ def test_a_misspelled_scenario_is_suggested(deepbots):
         (
             ("torch",),
             "everything works except what needs a missing extra: training, MaskablePPO, RecurrentPPO and TQC, policies as ONNX,"
-            " --workers and --cluster, searches by tune",
+            " --cluster, searches by tune",
         ),
         (
             ("mujoco",),
             "everything works except what needs a missing extra:"
             " simulation, training, MaskablePPO, RecurrentPPO and TQC, the page of view and play, policies as ONNX,"
-            " --workers and --cluster, searches by tune",
+            " --cluster, searches by tune",
         ),
     ],
 )

@@ -212,7 +212,8 @@ def test_a_robot_file_outside_the_project_is_refused_with_what_to_do(deepbots, t
     (tmp_path / "there.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
     ran = deepbots("new", "mine", "here", "--urdf", "there.urdf")
     assert ran.code == 2
-    assert "outside the project; copy it into the folder" in ran.err
+    assert "outside the project; allow its folder with `--allow-path .`" in ran.err
+    assert "package://PACKAGE/PATH" in ran.err
     assert not any((tmp_path / "here").iterdir())
 
 

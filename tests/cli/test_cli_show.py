@@ -28,7 +28,7 @@ def inspected(deepbots, *words):
 def test_inspect_shows_units_ranges_and_what_was_written(deepbots):
     ran = deepbots("inspect", "cartpole", "--full")
     assert ran.code == 0
-    for shown in ("cart.pole_angle", "-0.34907", "rad", "abs(cart.pole_angle) > fall_angle", "uniform(-1 .. 1 deg)", "Discrete(2)", "PPO"):
+    for shown in ("cart.pole_angle", "-20", "deg", "abs(cart.pole_angle) > fall_angle", "uniform(-1 .. 1 deg)", "Discrete(2)", "PPO"):
         assert shown in ran.out
 
 

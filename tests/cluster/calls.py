@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
+import time
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.spread import Attempt
@@ -20,6 +22,16 @@ def lose(item: int, attempt: Attempt) -> int:
     if item == 1 or (item == 0 and attempt.number == 1):
         os.kill(os.getpid(), signal.SIGKILL)
     return attempt.number
+
+
+def imported(item: str, attempt: Attempt) -> bool:
+    """Whether a worker has imported a module."""
+    return item in sys.modules
+
+
+def sleep(item: int, attempt: Attempt) -> None:
+    attempt.report(os.getpid())
+    time.sleep(item)
 
 
 def priority(item: int, attempt: Attempt) -> int:

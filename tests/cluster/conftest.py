@@ -1,4 +1,4 @@
-"""Makes what the tests of a cluster share importable, and starts a Ray for those of a module."""
+"""Makes what the tests of a cluster share importable, and has workers for those of a module."""
 
 import sys
 from collections.abc import Iterator
@@ -7,12 +7,25 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.cluster import Cluster
+from tests.cluster.nodes import cluster_of_nodes
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Cluster]:
-    """Two workers on this machine; for one module, since others join a cluster of several nodes in this process."""
+    """Two workers on this machine."""
     with Cluster(workers=2) as found:
+        yield found
+
+
+@pytest.fixture(scope="module", params=["processes", "ray"])
+def either(request: pytest.FixtureRequest) -> Iterator[Cluster]:
+    """Two workers of each kind."""
+    if request.param == "processes":
+        with Cluster(workers=2) as found:
+            yield found
+        return
+    pytest.importorskip("ray")
+    with cluster_of_nodes(2) as nodes, Cluster(address=nodes.address) as found:
         yield found

@@ -7,42 +7,31 @@ import os
 import pickle
 import re
 import signal
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from test_cluster_shards import children, outcome
+from test_cluster_shards import outcome, workers
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.cli import main
 from deepbots_cli.cluster import Cluster
-from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.learning import evaluate, evaluate_group, resume_group, train_group
+from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.learning import evaluate, evaluate_group, resume_group, scaling, train_group
 from deepbots_cli.learning.group import GroupTraining
 from deepbots_cli.learning.report import GroupProgressReporter, TrainingProgress, to_json
 from deepbots_cli.learning.run import TrainingResult
-from deepbots_cli.learning.spread import ONE_BY_ONE, Watcher, results
-from tests.cluster.calls import lose, priority, square
+from deepbots_cli.learning.spread import ONE_BY_ONE
 
-pytest.importorskip("ray")
 SEEDS = (0, 1, 2)
 
 
 @pytest.fixture(scope="module")
 def scenario() -> Compiled:
     return api.compile("cartpole", overrides=["train.n_steps=64"])
-
-
-class Losses(Watcher):
-    def __init__(self) -> None:
-        self.items: list[int] = []
-
-    def on_loss(self, item: int) -> None:
-        self.items.append(item)
 
 
 def outcomes(group: Path) -> list[Any]:
@@ -59,41 +48,6 @@ def test_trainings_on_workers_give_the_same(cluster: Cluster, scenario: Compiled
     assert sorted(path.name for path in (tmp_path / "workers").iterdir()) == sorted(path.name for path in (tmp_path / "here").iterdir())
 
 
-def test_results_and_errors_come_in_the_order_of_the_items(cluster: Cluster) -> None:
-    assert list(results(cluster.map(square, range(3)))) == [0, 1, 4]
-    *squares, error, last = cluster.map(square, range(5))
-    assert (squares, str(error), last) == ([0, 1, 4], "there is no square of 3", 16)
-
-
-def test_workers_have_our_priority_and_leave_us_our_handler_of_sigterm(cluster: Cluster) -> None:
-    assert list(cluster.map(priority, [0])) == [os.nice(0)]
-    assert "ray" not in str(getattr(signal.getsignal(signal.SIGTERM), "__module__", ""))
-
-
-def test_a_worker_with_another_version_or_without_a_file_is_refused(
-    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = tmp_path / "group.json"
-    file.write_text("{}")
-    unseen = cluster.map(square, range(2), files=[file])
-    file.write_text("{ }")
-    with pytest.raises(UsageError, match=r"the worker on .* does not see .*group\.json; use a folder that all nodes share"):
-        list(unseen)
-    monkeypatch.setattr("deepbots_cli.__version__", "99.0")  # here, so this process believes in another version
-    with pytest.raises(UsageError, match=r"the worker on .* has deepbots .*, but this process has 99\.0"):
-        list(cluster.map(square, range(2)))
-
-
-@pytest.mark.slow
-def test_a_lost_call_is_repeated_up_to_three_times(cluster: Cluster) -> None:
-    losses = Losses()
-    first, failure, other = cluster.map(lose, range(3), watcher=losses)
-    assert (first, other) == (2, 1)
-    assert isinstance(failure, DeepbotsError)
-    assert "it ended its worker 3 times" in str(failure)
-    assert sorted(losses.items) == [0, 1, 1]
-
-
 def test_every_error_passes_from_a_worker_to_this_process() -> None:
     def kinds(base: type[DeepbotsError]) -> Iterator[type[DeepbotsError]]:
         yield base
@@ -105,11 +59,6 @@ def test_every_error_passes_from_a_worker_to_this_process() -> None:
         error.add_note("what to do")
         found = pickle.loads(pickle.dumps(error))
         assert (type(found), found.full_message) == (kind, "what is wrong\nwhat to do")
-
-
-def tasks() -> list[int]:
-    """The processes of calls."""
-    return children("ray::perform")
 
 
 def act_at(monkeypatch: pytest.MonkeyPatch, steps: int, times: int, act: Callable[[], object]) -> list[object]:
@@ -135,7 +84,7 @@ def trained_here(scenario: Compiled, tmp_path_factory: pytest.TempPathFactory) -
 def test_trainings_whose_workers_were_killed_give_the_same(
     cluster: Cluster, scenario: Compiled, trained_here: GroupTraining, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    killed = act_at(monkeypatch, 1_000, 4, lambda: os.kill(tasks()[-1], signal.SIGKILL))
+    killed = act_at(monkeypatch, 1_000, 4, lambda: os.kill(workers()[-1], signal.SIGKILL))
     found = train_group(scenario, SEEDS, group=tmp_path / "killed", total_timesteps=6_000, progress=True, spread=cluster)
     assert len(killed) == 4
     assert not found.failed
@@ -171,9 +120,9 @@ def test_a_second_ctrl_c_ends_them_at_once(cluster: Cluster, scenario: Compiled,
     stopped = train_group(scenario, SEEDS, group=tmp_path / "group", total_timesteps=600_000, progress=True, spread=cluster)
     assert (stopped.trained, stopped.waiting) == ((), SEEDS)
     deadline = time.monotonic() + 20
-    while tasks() and time.monotonic() < deadline:
+    while workers() and time.monotonic() < deadline:
         time.sleep(0.2)
-    assert not tasks()
+    assert not workers()
 
 
 @pytest.mark.slow
@@ -203,9 +152,6 @@ def test_the_episodes_of_an_evaluation_on_workers_are_the_same(
 def test_commands_print_the_same_with_workers(
     command: str, trained_here: GroupTraining, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    import ray
-
-    ray.shutdown()  # each command starts its own
     monkeypatch.chdir(tmp_path)
     group = str(trained_here.group)
     arguments = {
@@ -216,8 +162,8 @@ def test_commands_print_the_same_with_workers(
         "test": ["cartpole", "find_ball", "--json"],
     }[command]
     printed = []
-    for workers in ([], ["--workers", "2"]):
-        code = main([command.split()[0], *arguments, *workers])
+    for more in ([], ["--workers", "2"]):
+        code = main([command.split()[0], *arguments, *more])
         printed.append((code, re.sub(r'"seconds": [0-9.]+', "", capfd.readouterr().out)))
     assert printed[1] == printed[0]
     assert printed[0][0] == 0
@@ -229,6 +175,8 @@ def test_commands_print_the_same_with_workers(
         (["train", "cartpole", "--seeds", "3", "--workers", "2"], "--workers has nothing to divide, since there is one seed"),
         (["test", "cartpole", "--cluster", "auto"], "--cluster has nothing to divide, since there is one scenario"),
         (["train", "cartpole", "--shards", "auto", "--seeds", "0..2"], "--shards auto measures a single training"),
+        (["train", "cartpole", "--workers", "0"], "--workers 0 starts no process; write --workers 1 or more"),
+        (["test", "cartpole", "--workers", "-3"], "--workers -3 starts no process; write --workers 1 or more"),
         (["bench", "cartpole", "--workers", "2"], "--workers and --cluster need --shards"),
         (["bench", "cartpole", "--shards", "1,2", "--quick"], "--shards and --quick cannot be combined"),
         (["bench", "cartpole", "--shards", "1,x"], "--shards 1,x is not a list of whole numbers from 1, such as 1,2,4"),
@@ -238,12 +186,6 @@ def test_commands_print_the_same_with_workers(
 def test_workers_and_shards_that_make_no_sense_are_refused(arguments: list[str], reason: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(arguments) == 2
     assert reason in capsys.readouterr().err
-
-
-def test_without_ray_workers_are_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setitem(sys.modules, "ray", None)
-    assert main(["test", "cartpole", "find_ball", "--workers", "2"]) == 2
-    assert "--workers and --cluster needs the 'cluster' extra" in capsys.readouterr().err
 
 
 class Terminal(io.StringIO):
@@ -299,3 +241,17 @@ def test_without_a_terminal_each_training_has_a_line_at_its_end() -> None:
         "seed 7  finished  steps 6,144 of 6,000  episodes 146  return 42.2",
         "stopping after these rollouts; continue with: deepbots train --resume runs/group",
     ]
+
+
+@pytest.mark.slow
+def test_a_training_that_measures_its_shards_first_is_one_with_this_number(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(scaling, "SECONDS", 0.2)
+    monkeypatch.setattr(scaling, "MIN_GAIN", 0.0)  # so that two shards may be chosen for CartPole, which gains nothing by them
+    command = ["train", "cartpole", "--set", "train.n_steps=64", "--timesteps", "1200", "--json", "--run"]
+    assert main([*command, str(tmp_path / "auto"), "--shards", "auto", "--workers", "2"]) == 0
+    chosen = re.search(r"measured: 1 shard .* steps/s, 2 shards .* steps/s; the training has (\d) shard", capsys.readouterr().err)
+    assert chosen
+    assert main([*command, str(tmp_path / "fixed"), "--shards", chosen[1]]) == 0
+    assert outcome(tmp_path / "auto") == outcome(tmp_path / "fixed")

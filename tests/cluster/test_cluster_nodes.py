@@ -16,10 +16,9 @@ from test_cluster_fleet import act_at, outcomes
 from test_cluster_shards import At, outcome, trained
 
 from deepbots_cli import api
-from deepbots_cli.cli import main
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning import resume, scaling, train_group
+from deepbots_cli.learning import resume, train_group
 from deepbots_cli.learning.shards import THIS_PROCESS
 from deepbots_cli.learning.spread import Watcher
 from tests.cluster.calls import square
@@ -119,15 +118,8 @@ def test_a_node_without_deepbots_is_refused(nodes: Any, tmp_path: Path, monkeypa
         trained("PPO", tmp_path / "run", cluster)
 
 
-@pytest.mark.slow
-def test_a_training_that_measures_its_shards_first_is_one_with_this_number(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(scaling, "SECONDS", 0.2)
-    monkeypatch.setattr(scaling, "MIN_GAIN", 0.0)  # so that two shards may be chosen for CartPole, which gains nothing by them
-    command = ["train", "cartpole", "--set", "train.n_steps=64", "--timesteps", "1200", "--json", "--run"]
-    assert main([*command, str(tmp_path / "auto"), "--shards", "auto", "--workers", "2"]) == 0
-    chosen = re.search(r"measured: 1 shard .* steps/s, 2 shards .* steps/s; the training has (\d) shard", capsys.readouterr().err)
-    assert chosen
-    assert main([*command, str(tmp_path / "fixed"), "--shards", chosen[1]]) == 0
-    assert outcome(tmp_path / "auto") == outcome(tmp_path / "fixed")
+def test_an_address_at_which_nobody_answers_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"nobody answers at 127\.0\.0\.1:9"), Cluster(address="127.0.0.1:9"):
+        pass
+    with pytest.raises(UsageError, match="is no address of a Ray cluster"), Cluster(address="nowhere"):
+        pass

@@ -15,18 +15,18 @@ from deepbots_cli.cluster import Cluster
 from deepbots_cli.learning.shards import THIS_PROCESS
 from tests.cluster.nodes import cluster_of_nodes
 
-pytest.importorskip("ray")
 NODES = {"one node": (2,), "two nodes": (1, 1)}
 """The CPUs of each node."""
 
 
 @pytest.fixture(scope="module", params=["workers", *NODES])
 def placement(request: pytest.FixtureRequest) -> Iterator[Cluster]:
-    """A Ray for all cases of a placement."""
+    """The workers for all cases of a placement."""
     if request.param == "workers":
         with Cluster(workers=2) as found:
             yield found
         return
+    pytest.importorskip("ray")
     head, *others = NODES[request.param]
     with cluster_of_nodes(head) as nodes:
         for cpus in others:

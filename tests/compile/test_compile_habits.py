@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.scenario.actuators import ACTUATORS
-from deepbots_cli.scenario.fields import _OTHER_NAMES, word_for_foreign_name
 from deepbots_cli.scenario.sensors import SENSORS
+from deepbots_cli.scenario.synonyms import synonyms, word_for
 from deepbots_cli.scenario.world import OBJECTS
 from tests.compile.conftest import shipped_text
 
@@ -57,10 +58,10 @@ def test_inverse_kinematics_is_told_to_be_cartesian(workshop, head, word):
 
 
 def test_other_names_stand_for_words_of_the_language_and_are_none():
-    known = {*ACTUATORS, *SENSORS, *OBJECTS, "any"}
-    assert known.issuperset(_OTHER_NAMES)
+    known = {*ACTUATORS, *SENSORS, *OBJECTS, *ENGINES, "any"}
+    assert known.issuperset(synonyms().words)
     for kinds in (tuple(ACTUATORS), tuple(SENSORS), tuple(OBJECTS)):
-        assert not [word for word in kinds if word_for_foreign_name(word, kinds)]
+        assert not [word for word in kinds if word_for(word, kinds)]
 
 
 @pytest.mark.parametrize(

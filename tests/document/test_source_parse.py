@@ -151,7 +151,7 @@ def test_a_duplicate_key_is_reported_with_the_first_one_which_is_kept() -> None:
         ("a: }", "DB001", "}", "quotes"),
         # what goes on in one
         ("a: b: c", "DB001", ":", "quotes"),
-        ("a: b ? c : d", "DB001", ":", "`a if condition else b`"),
+        ("a: b ? c : d", "DB001", "b ? c : d", "`c if b else d`"),
         ("a: {b: where(c > d, -1, 2)}", "DB001", "where(c > d, -1, 2)", "`-1 if c > d else 2`"),
         ("a: {b: c ? d : e}", "DB001", ":", "`a if condition else b`"),
         ('a: "b" c', "DB001", "c", "quotes"),
@@ -171,8 +171,8 @@ def test_a_duplicate_key_is_reported_with_the_first_one_which_is_kept() -> None:
         # lines
         ("a:\n\tb: 1", "DB001", "\t", "spaces"),
         ("a:\n  b: 1\n\tc: 2", "DB001", "\t", "spaces"),
-        ("a: 1\n  b: 2", "DB001", "b", "align"),
-        ("a:\n    b: 1\n  c: 2", "DB001", "c: 2", "indentation"),
+        ("a: 1\n  b: 2", "DB001", "b", "`b: 2`"),
+        ("a:\n    b: 1\n  c: 2", "DB001", "c: 2", "`    c: 2`"),
         ("a: 1\nb:2\nc: 3", "DB001", "b:2", "space after the colon"),
         ("a: 1\nword\nb: 2", "DB001", "word", "`word:`"),
         ("a: 1\n- b", "DB001", "- b", "indent the list"),

@@ -73,13 +73,27 @@ def test_a_reward_that_cheats_is_named_first_with_the_term_that_pays(tmp_path):
     logged = with_logs(training.run.path, np.linspace(0, 5 * script, 400), FLAT, success=good, **curves)
     cheating = replace(logged, scripts=training.scripts, policy=training.policy, random=training.random)
     first = diagnose(cheating)[0]
-    assert (first.cause, first.evidence["term"], first.evidence["script"]) == ("reward_exploited", "parked", "by_hand")
+    assert (first.cause, first.evidence["term"], first.evidence["example"]) == ("reward_exploited", "parked", "the script 'by_hand'")
     assert "the script in 100% (68% to 100%) of 8 episodes" in first.text
     assert "Let 'parked' pay once" in first.advice
     poorer = with_logs(training.run.path, np.linspace(0, 0.5 * script, 400), FLAT, success=good, **curves)
     assert "reward_exploited" not in _causes(replace(poorer, scripts=training.scripts))
     succeeds = with_logs(training.run.path, np.full(400, 5 * script), FLAT, success=1.0, **curves)
     assert "reward_exploited" not in _causes(replace(succeeds, scripts=training.scripts))
+
+
+def test_an_exploit_that_only_the_exploration_uses_is_named_although_the_policy_succeeds(tmp_path):
+    """The policy succeeded in all episodes with 295, and those of the training returned 829 without a success."""
+    path = train_shuttle(tmp_path, *HELD)
+    curves = {"reward__parked": np.linspace(50, 800, 20), "reward__closer": [2.0] * 20}
+    logged = with_logs(path, np.linspace(0, 829, 400), FLAT, success=0.0, **curves)
+    succeeding = [Episode(295.0, 117, True, "found", {"parked": 242.0, "closer": 3.0}) for _ in range(100)]
+    solved = replace(logged, final_episodes=succeeding, verdict=replace(logged.verdict, solved=True))
+    named = _named(solved, "reward_exploited")
+    assert "more than the 295 of the successful episodes of the evaluation, but the policy succeeds in 0%" in named.text
+    assert "'parked' pays most of the difference" in named.text
+    fewer = with_logs(path, np.full(400, 250.0), FLAT, success=0.5, **curves)
+    assert "reward_exploited" not in _causes(replace(fewer, final_episodes=succeeding, verdict=solved.verdict))
 
 
 def test_a_reward_that_disagrees_with_the_success_comes_before_the_noise_on_the_actions(carriage):

@@ -189,9 +189,9 @@ def test_a_level_that_is_easier_than_a_smaller_one_within_the_intervals_is_no_th
     assert apart.verdict == "fails at +20 ms but holds at +40 ms: here, a larger change is not always harder"
 
 
-def test_the_verdict_says_up_to_where_it_is_sure() -> None:
+def test_the_verdict_says_up_to_which_level_the_interval_excludes_the_required_score() -> None:
     found = side(l10=(0.95, 0.85, 0.99), l20=(0.84, 0.7, 0.93), l40=(0.76, 0.62, 0.86), l80=(0.1, 0.05, 0.2))
-    assert found.verdict == "holds up to +20 ms (up to +10 ms for sure), fails from +40 ms (from +80 ms for sure)"
+    assert found.verdict == "holds up to +20 ms (up to +10 ms with 95 % confidence), fails from +40 ms (from +80 ms with 95 % confidence)"
 
 
 def test_half_the_mass_and_more_mass_are_two_sides_each_from_the_smallest_change_on() -> None:

@@ -24,6 +24,7 @@ from stable_baselines3.common.env_checker import check_env
 from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError, install_hint
 from deepbots_cli.learning import TrainingResult, checkpoints, evaluate, resume, train
+from deepbots_cli.learning.episodes import read_evaluations
 from deepbots_cli.learning.order import Candidate
 from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal, to_json
 from deepbots_cli.learning.run import Run, run_lock
@@ -208,15 +209,18 @@ def test_sigterm_ends_a_training_with_the_command_that_continues_it(tmp_path: Pa
     assert f"continue the training with: deepbots train --resume {result.run}" in training_text(result)
 
 
+class Late(Reporter):
+    """Presses Ctrl-C once, after the last step."""
+
+    stopped = False
+
+    def update(self, progress: TrainingProgress) -> None:
+        if progress.steps >= progress.total_steps and not self.stopped:
+            self.stopped = True
+            os.kill(os.getpid(), signal.SIGINT)
+
+
 def test_a_stop_after_the_last_step_leaves_nothing_to_resume(tmp_path: Path) -> None:
-    class Late(Reporter):
-        stopped = False
-
-        def update(self, progress: TrainingProgress) -> None:
-            if progress.steps >= progress.total_steps and not self.stopped:
-                self.stopped = True
-                os.kill(os.getpid(), signal.SIGINT)
-
     result = short(tmp_path, total=300, solved=Solved(10, mean_return=1e6), progress=Late(), build=stand_in.build)
     assert (result.status, result.stop_requested) == ("finished", True)
     assert result.steps > 300
@@ -224,6 +228,28 @@ def test_a_stop_after_the_last_step_leaves_nothing_to_resume(tmp_path: Path) -> 
     assert f"evaluate the policy with: deepbots eval {result.run}" in training_text(result)
     with pytest.raises(UsageError, match="is complete"):
         resume(result.run, build=stand_in.build)
+
+
+def test_a_stop_after_the_last_step_leaves_the_last_evaluation_to_resume(tmp_path: Path) -> None:
+    result = short(tmp_path, total=300, solved=Solved(2, mean_return=1e6), progress=Late(), build=stand_in.build)
+    assert (result.status, result.stop_requested) == ("interrupted", True)
+    assert result.steps > 300
+    assert f"deepbots train --resume {result.run}" in training_text(result)
+    evaluated = [each["steps"] for each in read_evaluations(result.run)]
+    again = resume(result.run, build=stand_in.build)
+    assert (again.status, again.steps) == ("finished", result.steps)
+    assert [each["steps"] for each in read_evaluations(result.run)] == [*evaluated, result.steps]
+    with pytest.raises(UsageError, match="is complete"):
+        resume(result.run, build=stand_in.build)
+
+
+def test_a_full_training_that_was_confirmed_stops_at_the_next_confirmation_if_it_is_resumed_so(tmp_path: Path) -> None:
+    easy = Solved(2, mean_return=5.0)
+    full = short(tmp_path, total=1_000, solved=easy, stop_when_solved=False, build=stand_in.build)
+    assert full.solved_at is not None
+    again = resume(full.run, total_timesteps=50_000, stop_when_solved=True, build=stand_in.build)
+    assert again.solved_at is not None
+    assert full.steps < again.solved_at.steps == again.steps < 50_000
 
 
 @pytest.mark.parametrize(("steps", "goal"), [(300_032, 600_000), (500_736, 1_000_000), (600, 1_000), (7_500, 20_000), (1, 2)])

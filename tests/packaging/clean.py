@@ -186,35 +186,44 @@ def _run(command: Sequence[str], folder: Path) -> str:
     return done.stdout
 
 
+def try_wheels(cli: Path, robot: Path, folder: Path, *, fetch: bool) -> None:
+    """Train and export with both wheels, and serve with that of deepbots-robot alone, in new environments in `folder`.
+
+    Raises:
+        AssertionError: The commands do not do their work, or deepbots-robot takes more than `MAX_ROBOT_MB`.
+    """
+    start, empty = monotonic(), folder / "empty"
+    empty.mkdir()
+    full = Environment(folder / "full")
+    full.install(f"{cli}[train]", fetch=fetch)
+    if not fetch:
+        full.lend_everything()
+    run = train(full, empty)
+    full.install(str(robot), f"{cli}[export]", fetch=fetch)
+    bundle = folder / "bundle"
+    full.run("deepbots", "export", str(run), "-o", str(bundle), folder=empty)
+    print(f"{cli.name} lints, trains and exports in a new environment: {monotonic() - start:.0f} s")
+
+    start = monotonic()
+    alone = Environment(folder / "robot")
+    alone.install(f"{robot}[{','.join(ROBOT_EXTRAS)}]", fetch=fetch)
+    if not fetch:
+        alone.lend(list(required("deepbots-robot", ROBOT_EXTRAS)))
+    shutil.rmtree(empty / "runs")
+    serve(alone, bundle, empty)
+    heavy = {"numpy": None, "onnxruntime": None, **required("onnxruntime")}
+    own = ["deepbots-robot", *(name for name in required("deepbots-robot", ["zmq"]) if name not in heavy)]
+    size = alone.size(own)
+    print(f"{robot.name} checks and serves a bundle in a new environment: {monotonic() - start:.0f} s")
+    print(f"  {size:.1f} MB of {', '.join(own)}; {alone.size(list(heavy)):.0f} MB of {', '.join(heavy)}")
+    assert size <= MAX_ROBOT_MB
+
+
 def main(*, fetch: bool = False) -> None:
     with TemporaryDirectory() as name:
-        folder, start = Path(name).resolve(), monotonic()
-        empty = folder / "empty"
-        empty.mkdir()
+        folder = Path(name).resolve()
         cli, robot = (build(sources, folder / "dist" / project) for project, sources in PROJECTS.items())
-        full = Environment(folder / "full")
-        full.install(f"{cli}[train]", fetch=fetch)
-        if not fetch:
-            full.lend_everything()
-        run = train(full, empty)
-        full.install(str(robot), f"{cli}[export]", fetch=fetch)
-        bundle = folder / "bundle"
-        full.run("deepbots", "export", str(run), "-o", str(bundle), folder=empty)
-        print(f"{cli.name} lints, trains and exports in a new environment: {monotonic() - start:.0f} s")
-
-        start = monotonic()
-        alone = Environment(folder / "robot")
-        alone.install(f"{robot}[{','.join(ROBOT_EXTRAS)}]", fetch=fetch)
-        if not fetch:
-            alone.lend(list(required("deepbots-robot", ROBOT_EXTRAS)))
-        shutil.rmtree(empty / "runs")
-        serve(alone, bundle, empty)
-        heavy = {"numpy": None, "onnxruntime": None, **required("onnxruntime")}
-        own = ["deepbots-robot", *(name for name in required("deepbots-robot", ["zmq"]) if name not in heavy)]
-        size = alone.size(own)
-        print(f"{robot.name} checks and serves a bundle in a new environment: {monotonic() - start:.0f} s")
-        print(f"  {size:.1f} MB of {', '.join(own)}; {alone.size(list(heavy)):.0f} MB of {', '.join(heavy)}")
-        assert size <= MAX_ROBOT_MB
+        try_wheels(cli, robot, folder, fetch=fetch)
 
 
 if __name__ == "__main__":

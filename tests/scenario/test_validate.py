@@ -1,5 +1,6 @@
 """What is wrong with a scenario is said once, in our words, at the place where it is."""
 
+import re
 from collections.abc import Callable
 
 import pytest
@@ -13,7 +14,14 @@ Check = Callable[[str], tuple[Scenario | None, list[Finding]]]
 FAULTS = [
     # unknown keys
     ("  timestep: 32 ms", "  timstep: 32 ms", "DB101", "timstep", "unknown key `timstep` in `world`", "did you mean `timestep`?"),
-    ("name: C", "timestep: 1 s\nname: C", "DB101", "timestep", "unknown key `timestep` at the top level", "move it under `world`"),
+    (
+        "name: C",
+        "timestep: 1 s\nname: C",
+        "DB101",
+        "timestep",
+        "unknown key `timestep` at the top level",
+        "write `timestep: 1 s` under `world`",
+    ),
     ("name: C", "agents: {}\nname: C", "DB101", "agents", "unknown key `agents` at the top level", "not supported yet"),
     ("PPO,", "PPO, gama: 0.9,", "DB101", "gama", "unknown key `gama` in `train`", "did you mean `gamma`?"),
     ("PPO,", "PPO, tau: 0.9,", "DB101", "tau", "unknown key `tau` in `train`", "only `DQN`, `SAC`"),
@@ -40,7 +48,7 @@ FAULTS = [
         "DB103",
         "[1, 1]",
         "expected a length with 2 components, found a list",
-        "in one text, like `0.5 0.5 m`",
+        "in one text: `1 1 m`",
     ),
     ("alive: 1", "alive:1", "DB103", "alive:1", "expected a mapping, found the text `alive:1`", "put a space after the colon: `alive: 1`"),
     (
@@ -185,6 +193,11 @@ def test_a_fault_in_a_list_of_stages_names_the_entry(check: Check, cartpole: str
 def test_a_stage_that_can_never_end_is_refused(check: Check, cartpole: str, until: str) -> None:
     _, findings = check(cartpole + f"curriculum:\n  - {{name: easy, until: {until}}}\n")
     assert [finding.code for finding in findings] == ["DB105"]
+
+
+def test_a_criterion_of_more_episodes_than_can_be_confirmed_is_refused(check: Check, cartpole: str) -> None:
+    _, findings = check(re.sub("^solved:.*", "solved: mean_return >= 195 over 100000 episodes", cartpole, flags=re.MULTILINE))
+    assert [(finding.code, finding.help) for finding in findings] == [("DB105", "write at most 10000")]
 
 
 def test_each_body_is_told_by_its_shape(check: Check, cartpole: str) -> None:

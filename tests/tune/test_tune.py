@@ -97,16 +97,15 @@ def test_a_study_whose_driver_was_killed_continues_to_the_same_trials(file: Path
 
 @pytest.mark.slow
 def test_trials_on_workers_give_the_same_after_a_worker_was_killed(file: Path, whole: Study, tmp_path: Path) -> None:
-    pytest.importorskip("ray")
     from deepbots_cli.cluster import Cluster
-    from tests.cluster.test_cluster_shards import children
+    from tests.cluster.test_cluster_shards import workers as pids
 
     killed: list[int] = []
 
     class Killer(StudyReporter):
         def update(self, number: int, progress: TrialProgress) -> None:
             if not killed:
-                os.kill(children("ray::perform")[0], signal.SIGKILL)
+                os.kill(pids()[0], signal.SIGKILL)
                 killed.append(number)
 
     study = made(file, tmp_path / "workers", prune=False)
@@ -298,6 +297,7 @@ def test_where_no_trial_has_a_success_the_higher_return_is_the_best_and_apply_is
     assert "best: trial 1, score 1.5; 2 other trials have this score, and the success rate, then the return chose the best one" in text
     assert "not clearly better than the values of the scenario itself (trial 0, score 1.5)" in text
     assert "--apply" not in text
+    assert "deepbots train" not in text
 
 
 def test_of_equal_scores_the_success_rate_comes_before_the_return(file: Path, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from deepbots_cli.diagnostics.registry import RULES, matching_rules, unknown_rul
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
-from deepbots_cli.expressions.dimensions import UNITS
+from deepbots_cli.expressions.dimensions import UNITS, suggest_unit
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.lint import pages_of
 from deepbots_cli.scenario.base import (
@@ -210,6 +210,9 @@ def explain_word(word: str) -> Explained:
     if not found and word not in _words():
         found = [topic for topic in topics() if plain in map(_plain, topic.names)]
     blocks = [*map(_of_topic, found), *blocks]
+    unit = None if blocks else suggest_unit(plain)
+    if unit is not None and unit.safe:  # a unit written out, as `radian`
+        blocks = list(_blocks(unit.text))
     return Explained(blocks, _others(word, {topic.name for topic in found} | {spelled}) if blocks and word.strip() else [])
 
 

@@ -15,11 +15,12 @@ from deepbots_cli.analysis.deployment import Deployment
 from deepbots_cli.cli import inspection, terminal
 from deepbots_cli.cli.command import Case, EngineOrRun, Overrides, Stage, option
 from deepbots_cli.cli.sources import is_robot, open_robot, open_source
-from deepbots_cli.cli.tables import row_as_lines, table
+from deepbots_cli.cli.tables import Row, row_as_lines, table
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.diagnostics.render import summary
-from deepbots_cli.document import MappingNode, Permissions, shipped
+from deepbots_cli.document import MappingNode, Permissions, inline_text, shipped
 from deepbots_cli.document.load import with_settings_at
+from deepbots_cli.document.nodes import node_at
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError
 from deepbots_cli.program import Program
 
@@ -58,10 +59,10 @@ def command(
 ) -> None:
     """Show robots, messages, observation and reward as tables.
 
-    The tables of a scenario show its robots, messages, observation, action, reward, endings and training, in SI units. With --full, they
-    also show joints, sensors, actuators, resets, cases, stages, every hyperparameter, the physics step in which an action takes effect,
-    the age of each observation, and the poses at the start, which need the simulator. A run shows its scenario and the progress of its
-    training. A robot file shows its links, joints and findings.
+    The tables of a scenario show its robots, messages, observation, action, reward, endings and training, in the units of the file; --json
+    has SI units. With --full, they also show joints, sensors, actuators, resets, cases, stages, every hyperparameter, the physics step in
+    which an action takes effect, the age of each observation, and the poses at the start, which need the simulator. A run shows its
+    scenario and the progress of its training. A robot file shows its links, joints and findings.
 
     \b
       deepbots inspect cartpole
@@ -93,7 +94,7 @@ def command(
     if full or as_json:
         tables = {**tables, **_poses(program, engine or (side.run.engine_for(program) if side.run else None), permissions)}
     shown = {name: rows for name, rows in tables.items() if full or name in _BRIEF}
-    terminal.show(tables, *_lines(shown), as_json=as_json)
+    terminal.show(tables, *_lines(shown if as_json else _in_written_units(shown, root)), as_json=as_json)
     if len(shown) < len(tables) and not as_json:
         terminal.note(f"--full also shows: {', '.join(name.replace('_', ' ') for name in tables if name not in shown)}")
 
@@ -106,6 +107,27 @@ def _topics(program: Program) -> dict[str, Topic]:
         raise MissingExtraError("robot", "--ros") from error
     needed = {*Deployment(program).unmeasured, *(field.name for field in (*sensor_fields(program), *command_fields(program)))}
     return {name: topic for name, topic in mapping(program).items() if name in needed}
+
+
+def _in_written_units(tables: inspection.Tables, root: MappingNode) -> inspection.Tables:
+    """The tables with the ranges of observations and actions in the units of the file, such as deg; JSON has SI units."""
+    from deepbots_cli.insight.scenario_facts import written_unit
+
+    def converted(section: str, row: Row) -> Row:
+        node = node_at(root, section, str(row.get("name", row.get("action", ""))))
+        unit = written_unit(str(row.get("unit", "")), inline_text(node)) if node is not None else None
+        low, high = row.get("low"), row.get("high")
+        if unit is None or not isinstance(low, float) or not isinstance(high, float):
+            return row
+        ends = {key: float(f"{unit.from_si(end):.10g}") for key, end in (("low", low), ("high", high))}
+        return {**row, **ends, "unit": unit.text}
+
+    ranges: inspection.Tables = {
+        section: [converted(section, row) for row in rows]
+        for section, rows in tables.items()
+        if section in ("observation", "action") and isinstance(rows, list)
+    }
+    return {**tables, **ranges}
 
 
 def _ros_text(topics: Mapping[str, Topic]) -> str:

@@ -55,7 +55,7 @@ _EXTRAS = {
     "export": "policies as ONNX",
     "ros": "ROS 2 topics of serve",
     "zmq": "ZeroMQ of serve",
-    "cluster": "--workers and --cluster",
+    "cluster": "--cluster",
     "tune": "searches by tune",
     "robot": "policies on a robot",
 }

@@ -20,8 +20,9 @@ from deepbots_cli.cli.sources import open_robot
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import nearest_word
-from deepbots_cli.document import ScalarNode, files, shipped, walk
+from deepbots_cli.document import Permissions, ScalarNode, files, shipped, walk
 from deepbots_cli.document.files import UnusableFile, project_root, resolve_reference
+from deepbots_cli.document.load import allowed_folders
 from deepbots_cli.document.nodes import node_at
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
@@ -67,7 +68,7 @@ def new(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the files.")] = Path("."),
     template: Annotated[Template | None, option("--template", "Template to begin with.")] = None,
     shipped_name: Annotated[
-        str | None, option("--from SCENARIO", "Scenario to copy with its files; `deepbots scenarios` lists them.")
+        str | None, option("--from SCENARIO", "Shipped scenario to copy with its files; `deepbots scenarios` lists them.")
     ] = None,
     urdf: Annotated[
         str | None, option("--urdf ROBOT", "Robot file to begin with: a path, package://..., or the name of a shipped robot.")
@@ -79,6 +80,7 @@ def new(
     ] = None,
     as_json: Json = False,
     force: Force = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Write a scenario: from a template, a copy, or a robot file.
 
@@ -113,7 +115,7 @@ def new(
             raise UsageError("--project names the folder, and writes a schema for all its scenarios; leave out DIR and --schema")
         folder = project
     if urdf:
-        made = from_robot(urdf, name, folder)
+        made = from_robot(urdf, name, folder, permissions)
     else:
         made = from_shipped(shipped_name, name) if shipped_name else from_template(template or "", name)
     if project is not None:
@@ -122,7 +124,7 @@ def new(
     kept = _present(made, folder)
     written = write_with_schema(made, folder, force=force) if schema else write_new(made, folder, force=force)
     if urdf:
-        terminal.note_warnings(api.lint(written[0]), str(written[0]))
+        terminal.note_warnings(api.lint(written[0], permissions=permissions), str(written[0]))
     if not as_json:
         _name_faster_engine(written[0])
     program = api.load(written[0]).program
@@ -172,28 +174,29 @@ def from_template(template: str, name: str) -> Files:
     return made
 
 
-def from_robot(robot: str, name: str, folder: Path) -> Files:
+def from_robot(robot: str, name: str, folder: Path, permissions: Permissions = Permissions()) -> Files:
     """The scenario `NAME.yaml` in `folder` for a robot file: a path, the name of a shipped robot, or package://...
 
     Raises:
         UsageError: The file does not exist, a scenario in the folder may not read it, or the robot has no joint that can be driven.
         ScenarioError: The file is not a valid robot.
     """
-    model = open_robot(robot)[0].model
-    text = starters.scenario(model, _reference(robot, folder), _title(name))
+    model = open_robot(robot, permissions.folders)[0].model
+    text = starters.scenario(model, _reference(robot, folder, permissions), _title(name))
     return {PurePosixPath(f"{name}.yaml"): text.encode()}
 
 
-def _reference(robot: str, folder: Path) -> str:
+def _reference(robot: str, folder: Path, permissions: Permissions) -> str:
     """The reference to a robot file in a scenario in `folder`."""
     if robot.startswith("package://") or shipped.robot_path(robot) is not None:
         return robot
     path = os.path.relpath(Path(robot).resolve(), folder.resolve()).replace(os.sep, "/")
-    found = resolve_reference(path, folder.resolve(), [project_root(folder), *shipped.data_roots()])
+    found = resolve_reference(path, folder.resolve(), [project_root(folder), *shipped.data_roots(), *allowed_folders(permissions.folders)])
     if isinstance(found, UnusableFile):
         raise UsageError(
             f"a scenario in {folder.resolve()} may not read {robot}, because the file {found.headline.partition('` ')[2]}; "
-            "copy it into the folder"
+            f"allow its folder with `--allow-path {quote(os.path.dirname(robot) or '.')}`, here and in later commands, or copy it with "
+            "its meshes into the folder; a robot of an installed package is named as package://PACKAGE/PATH"
         )
     return path
 
@@ -221,6 +224,9 @@ def from_shipped(shipped_name: str, name: str) -> Files:
         names = shipped.scenario_names()
         near = nearest_word(shipped_name, names)
         hint = f" (did you mean {near}?)" if near else ""
+        if Path(shipped_name).is_file():
+            own = f"copy your own file with `cp {quote(shipped_name)} {name}.yaml`, or write `extends: {shipped_name}` in a new file"
+            raise UsageError(f"--from copies a scenario that comes with deepbots, and {shipped_name} is a file; {own}")
         raise UsageError(f"there is no shipped scenario '{shipped_name}'{hint}; shipped scenarios are: {', '.join(names)}")
     target = PurePosixPath(f"{name}.yaml")
     text, waiting = _rewritten(first.resolve())

@@ -190,7 +190,9 @@ def command(
     if is_robot(shown):
         of_episodes = [value for name, value in given.items() if name not in ("--size", "--from", "--at")]
         if kind != PICTURE or any((*of_episodes, driver, seed, episode, overrides, case, stage)):
-            raise UsageError(f"{shown} is a robot file, of which there is a picture (.png) by --size, --from and --at")
+            names = [name for name, value in given.items() if value and name not in ("--size", "--from", "--at")]
+            odd = f", and {names[0]} needs a scenario" if names else ""
+            raise UsageError(f"{shown} is a robot file{odd}: a picture (.png) of it takes --size, --from and --at")
         pictures.check_target(file, SUFFIXES, force=force)
         _draw_robot(shown, file, shot, engine_or_default(engine), permissions)
         terminal.show({"files": [_made(file)]}, str(file), as_json=as_json)

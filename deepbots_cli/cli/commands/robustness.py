@@ -72,7 +72,7 @@ def command(
     `solved`, it is 80 % of the result under unchanged conditions. The exit code is 1 if the policy misses the required result without any
     change, or has nothing to keep: no result is required, and no episode succeeds.
 
-    With --workers N, N evaluations run at a time, each in a process of its own, with the same results.
+    With --workers N, N evaluations run at a time in N processes, with the same results.
 
     \b
       deepbots robustness runs/cartpole-0-1

@@ -92,6 +92,8 @@ def command(
         raise UsageError(f"--interface and --domain belong to ROS 2; leave them out with {links[0]}")
     if not 0.0 < speed <= 1000.0:
         raise UsageError(f"--speed {speed:g}: write a number above 0, at most 1000")
+    if seconds is not None and not 0.0 < seconds < float("inf"):
+        raise UsageError(f"--seconds {seconds:g}: write a number of seconds above 0; without the option, Ctrl-C ends it")
     try:
         from deepbots_robot.serving import Transport
     except ModuleNotFoundError as error:

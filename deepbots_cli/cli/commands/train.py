@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from shlex import quote
@@ -178,8 +179,8 @@ def command(
     the last steps in another one. `--shards auto` trains for a few seconds with 1, 2, 4, ... shards, on a worker for each core by default.
     It chooses the fastest number, or 1 if no other is at least 1.1 times as fast.
 
-    --seeds trains a group: one folder with a run for each seed. The trainings run one after the other, or with --workers N, N at a time,
-    each in a process of its own; the runs are the same. If a process is lost, another one resumes its training. --resume of a group skips
+    --seeds trains a group: one folder with a run for each seed. The trainings run one after the other, or with --workers N, N at a time
+    in N processes; the runs are the same. If a process is lost, another one resumes its training. --resume of a group skips
     finished seeds.
 
     --retry N trains an unsolved task up to N times again: a group of runs try-1, try-2, ... with the same seed. Each changes a value under
@@ -269,7 +270,9 @@ def command(
                 settings |= {"seed": seed or 0, "group": run, "placement": placement}
                 retries.train(compiled, retry, quiet=quiet, as_json=as_json, **settings)
                 return
-            result = learning.train(compiled, run=run, seed=seed or 0, on_start=show_page, placement=placement, **settings)
+            result = learning.train(
+                compiled, run=run, seed=seed or 0, on_start=partial(_begin, show_page, quiet=quiet), placement=placement, **settings
+            )
     _finish(result, quiet=quiet, as_json=as_json, permissions=permissions)
 
 
@@ -302,6 +305,7 @@ def _checked_workers(
     elif training is not None:
         reason = "the training has one shard; add --shards N, or --seeds for several trainings"
         processes.check_dividable(workers, address, training.shards, reason)
+        return None if workers is None else min(workers, training.shards)
     return workers
 
 
@@ -352,6 +356,13 @@ def _announce(compiled: api.Compiled, seeds: str, timesteps: int | None, *, full
         for reason in compiled.learner:
             terminal.note(f"deepbots chose {reason}")
         terminal.note(f"at most {timesteps or training.total_timesteps:,} timesteps{until}; Ctrl-C ends it and keeps the policy")
+
+
+def _begin(show_page: Callable[[Path], None], run: Path, *, quiet: bool) -> None:
+    """Say where the run is, and show its page."""
+    if not quiet:
+        terminal.note(f"the run is {run}")
+    show_page(run)
 
 
 def _name_missing_search(program: Program, scenario: str) -> None:

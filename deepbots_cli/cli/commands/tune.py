@@ -314,8 +314,9 @@ def _show(study: Study, *, done: bool, as_json: bool) -> None:
     elif best is not None:
         if over_first is not None and over_first.is_clear:
             further.insert(1, f"deepbots tune --resume {path} --apply")
-        settings = " ".join(f"--set {quote(text)}" for text in (*study.record.set, *best.assignments))
-        further.append(f"deepbots train {quote(study.record.source)} {settings} --seeds {_unused_seeds(study)}")
+        if len(ranked) == 1 or ranked[1].score != best.score:  # of equal scores, too few starts chose the best one
+            settings = " ".join(f"--set {quote(text)}" for text in (*study.record.set, *best.assignments))
+            further.append(f"deepbots train {quote(study.record.source)} {settings} --seeds {_unused_seeds(study)}")
     terminal.show(data, *lines, as_json=as_json, next_commands=further)
     if not done:
         raise typer.Exit(INTERRUPTED)

@@ -18,11 +18,11 @@ from deepbots_cli.insight.export.control import ControlStep
 from deepbots_cli.insight.export.recording import RecordedStep, recorded_steps
 from deepbots_cli.learning.learner import Learner
 from deepbots_cli.rollout.policies import PolicyDriver
-from deepbots_robot.bundle import TOLERANCE, Bundle, span_of
-from deepbots_robot.model import Input, Output
+from deepbots_robot.bundle import TOLERANCE, Bundle, most_steps, span_of
+from deepbots_robot.model import BundleError, Input, Output
 
 RECORDED, RANDOM = 200, 200
-"""Steps of each kind."""
+"""Steps of each kind; fewer of a policy that computes so much that loading its bundle would take seconds."""
 _TRIES = 10
 """At most so many times as many steps are looked at."""
 _RANDOM_EPISODE = 10
@@ -58,7 +58,10 @@ class Comparison:
         if step.first:
             self._policy.reset()
             self._parted = False
-        found = self._policy.step(values=step.inputs)
+        try:
+            found = self._policy.step(values=step.inputs)
+        except BundleError as error:
+            raise UsageError(f"the exported policy cannot act in the scenario: {error}; please report this") from error
         choices = self._info.choices
         if choices and not np.array_equal(found["action"], step.action) and least_gap(choices, found) <= TOLERANCE:
             self._parted = True
@@ -99,7 +102,7 @@ def recorded_parity(bundle: Bundle, step: ControlStep, learner: Learner, *, engi
     recorded = recorded_steps(step, lambda world: PolicyDriver(learner, world), engine=engine)
     for number, each in enumerate(recorded):
         rows.add(each.first, each.inputs, comparison.add(each))
-        if rows.count == RECORDED or number == _TRIES * RECORDED:
+        if rows.count == min(RECORDED, most_steps(bundle) // 2) or number == _TRIES * RECORDED:
             break
     recorded.close()
     if rows.count == 0:
@@ -129,13 +132,17 @@ class _Rows:
     def add(self, first: bool, inputs: Mapping[str, Array], outputs: Mapping[str, Array]) -> None:
         if first:
             self._is_open = True
-        finite = all(np.isfinite(value).all() for value in outputs.values())
+        finite = all(np.isfinite(value).all() for value in outputs.values())  # scores, too
         self._is_open = self._is_open and finite and least_gap(self._choices, outputs) > _CLEAR
         if self._is_open:
             if first:
                 self._starts.append(self.count)
             self._inputs.append(inputs)
             self._outputs.append(outputs)
+
+    def cut(self) -> None:
+        """End the episode before this step."""
+        self._is_open = False
 
     def content(self) -> bytes:
         arrays = {f"input/{name}": rows for name, rows in self.inputs.items()}
@@ -152,13 +159,16 @@ def _stacked(rows: list[Mapping[str, Array]]) -> dict[str, Array]:
 def _add_random_steps(bundle: Bundle, rows: _Rows) -> None:
     """Steps with inputs in and around the range of the recorded ones, and far beyond."""
     random, policy, known = np.random.default_rng(0), bundle.start(), rows.inputs
-    wanted = rows.count + RANDOM
+    wanted = rows.count + min(RANDOM, most_steps(bundle) // 2)
     for number in range(_TRIES * RANDOM):
         first = number % _RANDOM_EPISODE == 0
         if first:
             policy.reset()
         inputs = {entry.name: _random_value(entry, known[entry.name], random) for entry in bundle.info.inputs}
-        rows.add(first, inputs, policy.step(values=inputs))
+        try:
+            rows.add(first, inputs, policy.step(values=inputs))
+        except BundleError:  # a command that is not finite: `apply` need not be defined far beyond the values of an episode
+            rows.cut()
         if rows.count == wanted:
             break
 

@@ -1,0 +1,230 @@
+"""What shards and calls need from the processes that do their work.
+
+`LocalProcesses` (`local_processes.py`) starts processes on this machine, and `RayCluster` (`ray_cluster.py`) uses those of a Ray
+cluster. The module also has what a worker of either kind runs and checks.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+import signal
+import socket
+import sys
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any, NamedTuple, NoReturn, Protocol
+
+import deepbots_cli
+from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.learning.run import versions
+from deepbots_cli.learning.spread import Attempt
+
+MAX_LOSSES = 3
+"""Workers that may be lost in one fragment of a shard, or in one call."""
+_LIBRARIES = ("numpy", "torch", "stable-baselines3", "pybullet", "mujoco")
+"""Libraries on whose versions the numbers depend."""
+
+
+class WorkerLost(Exception):  # noqa: N818  # a state, which never reaches the user
+    """The process of a worker ended before its answer; the message is the reason."""
+
+
+class News(NamedTuple):
+    """What calls have sent since the last question, by the numbers of their items.
+
+    `begun` has all calls that have begun; it is None if nobody answered.
+    """
+
+    reports: Mapping[int, object]
+    notes: Sequence[tuple[int, str]]
+    begun: Collection[int] | None
+
+
+class Executor(Protocol):
+    """Processes for objects with methods (`start`, `ask`) and for calls of functions (`calls`).
+
+    An answer that a worker owes is a hashable object, which `wait` and `answer` take.
+    """
+
+    @property
+    def workers(self) -> int:
+        """The number of processes that work at a time."""
+
+    def free(self) -> int:
+        """The number of processes that can start now."""
+
+    def start(self, kind: Callable[..., Any], *arguments: object) -> Any:
+        """Make an object in a process of its own."""
+
+    def ask(self, worker: Any, method: str, *arguments: object) -> Any:
+        """Call a method of such an object after the earlier ones; the answer that it owes."""
+
+    def share(self, value: object) -> Any:
+        """What to pass instead of a value that several calls take."""
+
+    def end(self, worker: Any) -> None:
+        """End the process of such an object."""
+
+    def wait(self, owed: Collection[Any], count: int = 1, timeout_s: float | None = None) -> Sequence[Any]:
+        """Wait for `count` answers, at most `timeout_s`; those that are ready."""
+
+    def answer(self, owed: Any) -> Any:
+        """An answer that is ready.
+
+        Raises:
+            WorkerLost: The worker ended before it answered.
+            Exception: The call raised it.
+        """
+
+    def check(self) -> None:
+        """Raises: RunError: Workers cannot answer any more."""
+
+    def set_last_words(self, text: str) -> None:
+        """Print this if the processes take this one with them when they are lost."""
+
+    def calls(self, requirements: Requirements, *, can_stop: bool) -> Calls:
+        """Begin with calls of functions.
+
+        Raises:
+            UsageError: A worker does not meet the requirements.
+        """
+
+
+class Calls(Protocol):
+    """The calls of one `Spread.map` on an executor."""
+
+    def submit(self, call: Call) -> Any:
+        """Begin a call; the answer that it owes, which is that of `perform`."""
+
+    def cancel(self, owed: Any) -> None:
+        """End the process of a call."""
+
+    def news(self, *, stop: bool) -> News:
+        """The news. With `stop`, the calls that have begun receive SIGTERM, each once."""
+
+    def leave_out(self) -> Sequence[str] | None:
+        """After a refusal: give no more work to what is unfit. Returns notes, None if everything is fit.
+
+        Raises:
+            UsageError: Nothing is fit.
+        """
+
+    def close(self) -> None:
+        """End with calls."""
+
+
+# What a worker runs
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """What a worker must have: the working directory, the same files, and the same versions of deepbots and its libraries."""
+
+    folder: Path
+    files: Mapping[Path, str]
+    versions: Mapping[str, str]
+
+    @classmethod
+    def of_this_process(cls, files: Sequence[Path]) -> Requirements:
+        return cls(Path.cwd(), {path.absolute(): _digest(path) for path in files}, library_versions())
+
+    def unmet(self) -> str | None:
+        """What this process lacks, in a sentence."""
+        worker, here = f"the worker on {socket.gethostname()}", library_versions()
+        for name, version in self.versions.items():
+            if here.get(name) != version:
+                return f"{worker} has {name} {here.get(name, 'not installed')}, but this process has {version}"
+        for path, digest in self.files.items():
+            if _digest(path) != digest:
+                return f"{worker} does not see {path}; use a folder that all nodes share"
+        return None if self.folder.is_dir() else f"{worker} does not see {self.folder}; work in a folder that all nodes share"
+
+
+def library_versions() -> dict[str, str]:
+    return {"deepbots": deepbots_cli.__version__, **{name: text for name, text in versions().items() if name in _LIBRARIES}}
+
+
+def _digest(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return ""
+
+
+class Call(NamedTuple):
+    """A call of a function, to be made by a worker; `content` is the function with its item."""
+
+    item: int
+    attempt: int
+    content: bytes
+    requirements: Requirements
+    log: Path | None
+    can_stop: bool
+
+
+class Refusal(NamedTuple):
+    """Why a worker cannot do any call."""
+
+    reason: str
+
+
+class Line(Protocol):
+    """The connection of a call to the process that asked for it; it opens when the call begins."""
+
+    def report(self, value: object) -> None:
+        """Send how far the call is."""
+
+    def note(self, text: str) -> None:
+        """Send what the user should know."""
+
+
+def perform(call: Call, line: AbstractContextManager[Line]) -> object:
+    """Make a call in a worker. The result is the error itself if it is one of deepbots, and None after a stop."""
+    reason = call.requirements.unmet()
+    if reason is not None:
+        return Refusal(reason)
+    os.chdir(call.requirements.folder)
+    with ExitStack() as stack:
+        if call.log is not None:
+            stack.enter_context(output_in(call.log))
+        if call.can_stop:  # until a training handles the signal itself
+            stack.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, _interrupt))
+        try:
+            function, item = pickle.loads(call.content)
+            opened = stack.enter_context(line)
+            return function(item, Attempt(call.attempt, opened.report, opened.note))
+        except DeepbotsError as error:
+            return error
+        except KeyboardInterrupt:
+            return None
+
+
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+@contextmanager
+def output_in(path: Path) -> Iterator[None]:
+    """Within, standard output and error of this process go into a file."""
+    streams = (sys.stdout, sys.stderr)
+    for stream in streams:
+        stream.flush()
+    before = [os.dup(number) for number in (1, 2)]
+    with suppress(OSError):  # a folder that is not shared is refused in words
+        path.parent.mkdir(exist_ok=True)
+        log = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0), 0o644)
+        os.dup2(log, 1)
+        os.dup2(log, 2)
+        os.close(log)
+    try:
+        yield
+    finally:
+        for stream, number, kept in zip(streams, (1, 2), before, strict=True):
+            stream.flush()
+            os.dup2(kept, number)
+            os.close(kept)

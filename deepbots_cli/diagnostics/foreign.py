@@ -1,0 +1,41 @@
+"""What expressions of other languages are in this one, where the form shows it: conditionals, absolute values, calls through a dot."""
+
+from __future__ import annotations
+
+import re
+
+MODULES = frozenset({"math", "np", "numpy", "torch", "jnp", "std", "Math"})
+"""Modules through which other languages call functions that have no prefix here."""
+
+_GROUP = r"[^()]*(?:\([^()]*\)[^()]*)*"
+_IF = re.compile(
+    rf"\s*if\s*(?:\((?P<group>{_GROUP})\)|(?P<open>[^:{{}}]+?)(?=\s*(?::|\bthen\b)))\s*(?::|\bthen\b)?\s*"
+    r"(?:\{\s*)?(?P<value>[^{}:;]+?)\s*;?\s*\}?\s*\belse\b\s*:?\s*(?:\{\s*)?(?P<otherwise>[^{}:;]+?)\s*;?\s*\}?\s*"
+)
+_TERNARY = re.compile(r"\s*(?P<open>[^?:]+?)\s*\?\s*(?P<value>[^?:]+?)\s*:\s*(?P<otherwise>[^?:]+?)\s*")
+_BARS = re.compile(r"\|([^|]+)\|")
+_MAX_LENGTH = 200
+
+
+def conditional(text: str) -> str | None:
+    """`a if c else b` for `if (c) a else b`, `if c: a else: b` or `c ? a : b`; None for any other text."""
+    if len(text) > _MAX_LENGTH:
+        return None
+    found = _IF.fullmatch(text) or _TERNARY.fullmatch(text)
+    if found is None:
+        return None
+    condition = found.groupdict().get("group") or found["open"]
+    return f"{found['value']} if {condition.strip()} else {found['otherwise']}"
+
+
+def without_bars(text: str) -> str | None:
+    """`abs(x)` for each `|x|`; None if the text has none."""
+    if len(text) > _MAX_LENGTH or not _BARS.search(text):
+        return None
+    return _BARS.sub(lambda found: f"abs({found[1].strip()})", text)
+
+
+def call(names: tuple[str, ...]) -> str:
+    """The call that `math.cos(` or `cart.velocity(` begins, by the dotted names before its parenthesis."""
+    *owner, function = names
+    return f"{function}(...)" if owner[0] in MODULES else f"{function}({'.'.join(owner)})"

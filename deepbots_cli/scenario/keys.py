@@ -1,0 +1,214 @@
+"""What findings say about keys: the sentence about a key, and what to write for an unknown one.
+
+An unknown key is, in this order: a word that people write for a key of the section (`synonyms.yaml`), a key with a slip of the pen, a key
+of the section one level up or down, a name that belongs one level down, a word like a key, or a key of another section.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from functools import cache
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import TypeAdapter, ValidationError
+
+from deepbots_cli.diagnostics.nearest import MAX_BESIDE, Replacement, is_typo, suggest_replacement
+from deepbots_cli.document import nodes
+from deepbots_cli.document.nodes import NodePath, descend, to_data
+from deepbots_cli.scenario.base import (
+    LENIENT,
+    Kinds,
+    MappingOf,
+    Section,
+    Shape,
+    example_of,
+    fits,
+    key_description,
+    key_instead_of,
+    section_fields,
+    shape_at,
+    walk_sections,
+)
+from deepbots_cli.scenario.fields import FieldType, Word
+from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.training import SET_ELSEWHERE_HELP, Training
+
+_RESERVED = {"agents": "competing agents are not supported yet"}
+_MAX_EXAMPLE_CHARACTERS = 120
+_MAX_LINE_CHARACTERS = 120
+_MAX_HOMES = 6
+_MAX_HOLDERS = 3
+"""Number of mappings one level down that can hold a name; more say nothing."""
+
+
+class Suggestion(NamedTuple):
+    """What to do about an unknown key: in words, and as the key that is meant; `is_fix` says whether the key alone can be replaced."""
+
+    help: str | None
+    replacement: Replacement | None = None
+    is_fix: bool = True
+
+
+def listed(words: Iterable[str]) -> str:
+    return ", ".join(f"`{word}`" for word in words)
+
+
+def keys_of(shape: Shape | None) -> str | None:
+    return f"allowed keys: {listed(shape.model_fields)}" if isinstance(shape, type) else None
+
+
+def about_key(data: object, path: NodePath) -> str | None:
+    """The sentence about the innermost known key of a path."""
+    steps = next((path[:depth] for depth in range(len(path), 0, -1) if isinstance(path[depth - 1], str)), ())
+    section = shape_at(Scenario, data, steps[:-1]) if steps else None
+    key = str(steps[-1]) if steps else ""
+    if not isinstance(section, type) or key not in section.model_fields:
+        return None
+    text = key_description(section, key).rstrip(".")
+    example = None if re.search("such as `|`{", text) else example_of(section, key)
+    shown = ""
+    if example and "\n" not in example.text and len(example.text) <= _MAX_EXAMPLE_CHARACTERS:
+        shown = f". Example: `{key}: {example.text}`"
+    return f"`{key}`: {text[:1].lower()}{text[1:]}{shown}"
+
+
+def replacement_for(data: object, path: NodePath) -> Replacement | None:
+    """The probable key for an unknown one; not a safe fix if the unknown key exists elsewhere in the language."""
+    section = shape_at(Scenario, data, path[:-1])
+    if not isinstance(section, type):
+        return None
+    if renamed := key_instead_of(section, str(path[-1])):
+        return Replacement(renamed, safe=True)
+    near = suggest_replacement(str(path[-1]), tuple(section.model_fields), of_language=True)
+    return near and near._replace(safe=near.safe and path[-1] not in _homes())
+
+
+def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Suggestion:
+    """What to write for the unknown key at `path`."""
+    *_, key = map(str, path)
+    section = shape_at(Scenario, data, path[:-1])
+    if not isinstance(section, type):
+        return Suggestion(about_key(data, path))
+    near = replacement_for(data, path)
+    if len(path) == 1 and key in _RESERVED:
+        return Suggestion(_RESERVED[key])
+    if renamed := key_instead_of(section, key):
+        return _renamed(root, data, path, section, renamed)
+    if issubclass(section, Training) and key in SET_ELSEWHERE_HELP:
+        return Suggestion(SET_ELSEWHERE_HELP[key])
+    kinds = shape_at(Scenario, data, path[:-1], choose=False)
+    if isinstance(kinds, Kinds):
+        others = [name for name, model in kinds.models.items() if key in model.model_fields and name != kinds.default]
+        if others:
+            return Suggestion(_beside(f"remove it: only {listed(others)} {'uses' if len(others) == 1 else 'use'} this key", section))
+    if near and is_typo(key, near.text):
+        return Suggestion(_beside(f"did you mean `{near.text}`? Write `{_line(root, path, near.text)}`", section), near)
+    if home := _home_next_to(path[:-1], key):
+        return Suggestion(_beside(f"write `{_line(root, path, key)}` {home}", section))
+    if holders := _holders(section, key, to_data(descend(root, path)[0])):
+        places = " or ".join(f"`{holder}:`" for holder in holders)
+        return Suggestion(_beside(f"a name that you choose stands one level further in: write this line below {places}", section))
+    if near:
+        return Suggestion(f"did you mean `{near.text}`? {keys_of(section)}", near)
+    if home := _home_elsewhere(path[:-1], key):
+        return Suggestion(f"`{key}` is a key {home}; {keys_of(section)}")
+    return Suggestion(keys_of(section))
+
+
+def _beside(help: str, section: type[Section]) -> str:
+    """A suggestion, with the keys of a section that has few."""
+    if len(section.model_fields) > MAX_BESIDE:
+        return help
+    return f"{help}; {keys_of(section)}"
+
+
+def _renamed(root: nodes.MappingNode, data: object, path: NodePath, section: type[Section], key: str) -> Suggestion:
+    """The line with the key that a synonym stands for, if the value fits it."""
+    value = to_data(descend(root, path)[0])
+    shape, near = section_fields(section)[key], replacement_for(data, path)
+    written = str(path[-1])
+    if isinstance(shape, Word) and isinstance(value, bool):  # as `fixed: true` for `base: fixed`
+        word = next((word for word in shape.words if (word in written) is value), shape.words[0])
+        return Suggestion(f"write `{key}: {word}`", near, is_fix=False)
+    elsewhere = SET_ELSEWHERE_HELP.get(written) if issubclass(section, Training) else None
+    if elsewhere and not (isinstance(shape, type) and fits(shape, value)):
+        return Suggestion(elsewhere, near, is_fix=False)
+    meant = shape.replacement_for(value) if isinstance(shape, FieldType) and not shape.has_form(value) else None
+    if meant is not None:
+        return Suggestion(f"write `{key}: {meant.text}`", near, is_fix=False)
+    if not fits(shape, value):
+        return Suggestion(f"write `{key}` instead. {about_key(data, (*path[:-1], key))}", near, is_fix=False)
+    return Suggestion(f"write `{_line(root, path, key)}`", near)
+
+
+def _line(root: nodes.MappingNode, path: NodePath, key: str) -> str:
+    """The entry at `path` with another key; the key alone if the entry is long or on several lines."""
+    value, word, _ = descend(root, path)
+    if word is None or value.span.source is not word.span.source:
+        return f"{key}:"
+    text = word.span.source.text
+    behind = text[word.span.end : value.span.end]
+    if behind.startswith("="):  # an assignment of the command line
+        return f"--set {text[: word.span.start]}{key}{behind}"
+    return f"{key}{behind}" if re.fullmatch(rf":[^\n]{{1,{_MAX_LINE_CHARACTERS}}}", behind) else f"{key}:"
+
+
+def _holders(section: type[Section], name: str, value: object) -> list[str]:
+    """The mappings of a section whose names the user chooses and which take this value; none if there are many."""
+    found = []
+    for key, shape in section_fields(section).items():
+        if isinstance(shape, MappingOf) and not (isinstance(shape.value, FieldType) and not fits(shape.value, value)):
+            info = section.model_fields[key]
+            annotation: Any = Annotated[(info.annotation, *info.metadata)] if info.metadata else info.annotation
+            try:
+                TypeAdapter(annotation).validate_python({name: value}, context={LENIENT: True})
+            except ValidationError:
+                continue
+            found.append(key)
+    return found if len(found) <= _MAX_HOLDERS else []
+
+
+# Where else a key exists
+
+
+@cache  # a file may hold thousands of unknown keys, and the walk takes a millisecond
+def _homes() -> Mapping[str, frozenset[tuple[str, ...]]]:
+    """The paths of the sections that have each key; `*` stands for a name that the user chooses."""
+    found: dict[str, set[tuple[str, ...]]] = {}
+    for home, section, _ in walk_sections(Scenario):
+        for key in section.model_fields if isinstance(section, type) else ():
+            found.setdefault(key, set()).add(home)
+    return {key: frozenset(places) for key, places in found.items()}
+
+
+def _pattern_matches(pattern: tuple[str, ...], steps: tuple[str, ...]) -> bool:
+    return len(pattern) == len(steps) and all(known in ("*", step) for known, step in zip(pattern, steps, strict=True))
+
+
+def _home_next_to(parent: NodePath, key: str) -> str | None:
+    """The section one level up or down that has this key."""
+    here = tuple(step for step in parent if isinstance(step, str))
+    homes = _homes().get(key, frozenset())
+    levels = [home for home in homes if _pattern_matches(home, here[:-1])] if here else []
+    below = [home for home in homes if _pattern_matches(home[: len(here)], here)]
+    levels += [home for home in below if len(home) == len(here) + 1 and home[-1] != "*"]
+    if not levels:
+        return None
+    steps = [own if step == "*" else step for step, own in zip(levels[0], (*here, ""), strict=False)]
+    return f"under `{'.'.join(steps)}`" if steps else "at the top level"
+
+
+def _home_elsewhere(parent: NodePath, key: str) -> str | None:
+    """The nearest other place where this key exists, unless there are many."""
+    here = tuple(step for step in parent if isinstance(step, str))
+
+    def shared(home: tuple[str, ...]) -> int:
+        pairs = list(zip(home, here, strict=False))
+        return next((i for i, (known, written) in enumerate(pairs) if known not in ("*", written)), len(pairs))
+
+    found = sorted(_homes().get(key, ()), key=lambda home: (-shared(home), len(home), home))
+    if not found or len(found) > _MAX_HOMES:
+        return None
+    best = found[0]
+    return f"of `{'.'.join('<name>' if step == '*' else step for step in best)}`" if best else "of the top level"

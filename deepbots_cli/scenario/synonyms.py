@@ -1,0 +1,52 @@
+"""What people write instead of the words of the language: the table `synonyms.yaml`, read on the way to a finding."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.document.nodes import to_data
+from deepbots_cli.document.parse import parse
+
+SYNONYMS_FILE = Path(__file__).with_name("synonyms.yaml")
+
+
+class Synonyms(NamedTuple):
+    """For each key (`xyz`, or `Model.key` for the sections of one model), and for each word that a key takes, what is written for it."""
+
+    keys: Mapping[str, frozenset[str]]
+    words: Mapping[str, frozenset[str]]
+
+
+@cache
+def synonyms() -> Synonyms:
+    findings = Findings()
+    root = parse(Source(SYNONYMS_FILE.name, SYNONYMS_FILE.read_text(encoding="utf-8")), findings)
+    tables = to_data(root) if root is not None else None
+    if not isinstance(tables, dict) or list(findings):
+        raise ValueError(f"{SYNONYMS_FILE} is broken: {[finding.headline for finding in findings]}")
+    return Synonyms(*({word: frozenset(others.split()) for word, others in tables[name].items()} for name in Synonyms._fields))
+
+
+def key_for(word: str, keys: Iterable[str], models: Iterable[str] = ()) -> str | None:
+    """The one of the `keys` of a section for which `word` is written; `models` are the names of the section's classes.
+
+    A word of British spelling stands for the American one.
+    """
+    table, names = synonyms().keys, tuple(models)
+    american = word.replace("colour", "color")
+    own = tuple(keys)
+    if american != word and american in own:
+        return american
+    plain = word.lower().replace("-", "_")
+    qualified = next((key for key in own if any(plain in table.get(f"{name}.{key}", ()) for name in names)), None)
+    return qualified or next((key for key in own if plain in table.get(key, ())), None)
+
+
+def word_for(word: str, words: Iterable[str]) -> str | None:
+    """The one of the `words` of the language for a name in other tools."""
+    plain = word.lower().replace("-", "_").replace(" ", "_")
+    return next((own for own in words if plain in synonyms().words.get(own, ())), None)
