@@ -78,10 +78,13 @@ def logged_episodes(path: Path, note: Callable[[str], object] = lambda text: Non
         note: Called if the log is used in part; see `read_log`.
 
     Raises:
+        MissingExtraError: deepbots-robot or mcap is not installed.
         UsageError: The file cannot be read as a log, or contains neither a step nor an event.
     """
-    from deepbots_robot.log import read_log
-
+    try:
+        from deepbots_robot.log import read_log
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("robot", "the log of a robot") from error
     found: list[LoggedEpisode] = []
     before: list[tuple[float, str, str]] = []
     origin = None

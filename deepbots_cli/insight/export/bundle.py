@@ -24,7 +24,7 @@ from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.insight.templates import render_template
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.learning.verdict import RunVerdict, run_verdict
-from deepbots_cli.program import Program, identity, topics
+from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import ActionRange
 from deepbots_cli.rollout.source import Source, SourceKind
 
@@ -155,13 +155,10 @@ def _info(run: Run, name: ModelName, step: ControlStep) -> BundleInfo:
 
 def _topics(program: Program, names: Collection[str]) -> dict[str, RosTopic]:
     """The ROS 2 topics of these inputs and outputs; readings of the world have the first ones that fit."""
+    from deepbots_cli.program.topics import mapping
     from deepbots_robot.model import RosTopic
 
-    return {
-        name: RosTopic(topic=topic.name, type=topic.type, part=topic.part)
-        for name, topic in topics.mapping(program).items()
-        if name in names
-    }
+    return {name: RosTopic(topic=topic.name, type=topic.type, part=topic.part) for name, topic in mapping(program).items() if name in names}
 
 
 def _places(info: BundleInfo) -> dict[str, str]:
