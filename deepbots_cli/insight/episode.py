@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from deepbots_cli.expressions.written import written_unit
 from deepbots_cli.insight.conditions import (
     SIGN_OF_OPERATOR,
     Comparison,

@@ -217,7 +217,8 @@ def _elsewhere(path: Path, here: Path) -> str | None:
 def _scenario_files(here: Path, path: Path) -> str:
     """The scenario files of a folder, the nearest in name first."""
     names = sorted(file.name for file in here.glob("*.y*ml"))
-    near = nearest_word(path.name, names)
+    by_stem = {Path(name).stem: name for name in names}
+    near = nearest_word(path.stem, by_stem)
     if near:
-        return f"; did you mean {near}?"
+        return f"; did you mean {by_stem[near]}?"
     return f", whose .yaml files are {', '.join(names[:_MAX_LISTED])}" if names else ", which has no .yaml file"
