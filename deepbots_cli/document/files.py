@@ -123,7 +123,9 @@ def _similar(path: Path, by: Path | None) -> str | None:
     """The name of a file beside `path` that was probably meant, and is not the file that names it."""
     try:
         suffixes = (path.suffix,) if path.suffix else (".urdf", ".yaml")
-        return nearest_word(path.name, [other.name for other in path.parent.iterdir() if other.suffix in suffixes and other != by])
+        by_stem = {other.stem: other.name for other in sorted(path.parent.iterdir()) if other.suffix in suffixes and other != by}
+        near = nearest_word(path.stem, by_stem)
+        return by_stem[near] if near else None
     except OSError:
         return None
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from deepbots_cli.expressions.written import written_unit
 from deepbots_cli.insight.conditions import (
     SIGN_OF_OPERATOR,
     Comparison,
@@ -17,7 +18,6 @@ from deepbots_cli.insight.conditions import (
     missing_comparisons,
 )
 from deepbots_cli.insight.missed import inner_comparisons, missed_success, nearest_moment
-from deepbots_cli.insight.scenario_facts import written_unit
 from deepbots_cli.insight.statements import MAX_LISTED, Numbers, Statement, StatementRule, list_text, quantity_text, statements_about
 from deepbots_cli.insight.trace import Trace
 

@@ -13,20 +13,16 @@ from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import comparisons
 from deepbots_cli.analysis.returns import is_progress, total_range
 from deepbots_cli.document.nodes import Node, inline_text, node_at
-from deepbots_cli.expressions.dimensions import ONE, UNITS, Unit
+from deepbots_cli.expressions.dimensions import Unit
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar
-from deepbots_cli.expressions.syntax import NUMBER
 from deepbots_cli.expressions.types import Known
+from deepbots_cli.expressions.written import MAX_TEXT, written_unit
 from deepbots_cli.insight.statements import quantity_text
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ObservedNumber
 
-_WORD = r"(?:[A-Za-z]+|%)(?:\^-?\d)?"
-_UNIT = re.compile(rf"{NUMBER}\s*({_WORD}(?:[*/]{_WORD})*)")
-_COMPOUND = re.compile(rf"(?:{NUMBER})\s*\(({_WORD}(?:[*/]{_WORD})*)\)")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:\.[A-Za-z_][A-Za-z0-9_]*)*")
 _DEFINITIONS = ("parameters", "signals", "augment")
-_MAX_TEXT = 10_000  # letters of an expression that are searched for a unit
 
 
 class ScenarioFacts:
@@ -137,37 +133,6 @@ class ScenarioFacts:
 
         It is the first one in the texts that fits, then the first in the definitions of names in them.
         """
-        names = [name for text in texts for name in _NAME.findall(text[:_MAX_TEXT])]
+        names = [name for text in texts for name in _NAME.findall(text[:MAX_TEXT])]
         nodes = [node_at(self._root, section, name) for name in names for section in _DEFINITIONS] if self._root else []
         return written_unit(unit, *texts, *(inline_text(node) for node in nodes if node is not None))
-
-
-def written_unit(unit: str, *texts: str) -> Unit | None:
-    """The first unit in the texts that measures the same as the SI unit `unit`, or None."""
-    units = (found for text in texts for found in _units_in(text))
-    return next((found for found in units if str(found.dimension) == unit), None)
-
-
-def _units_in(text: str) -> Iterator[Unit]:
-    """The units that follow a number in a text, in their order."""
-    text = text[:_MAX_TEXT]
-    matches = [*_UNIT.finditer(text), *_COMPOUND.finditer(text)]
-    for match in sorted(matches, key=lambda each: each.start()):
-        unit = _unit(match[1])
-        if unit is not None:
-            yield unit
-
-
-def _unit(text: str) -> Unit | None:
-    """`deg/s` as a unit; None where a word is none."""
-    whole, divides = ONE, False
-    for word in re.split(r"([*/])", text):
-        if word in ("*", "/"):
-            divides = word == "/"
-            continue
-        name, _, exponent = word.partition("^")
-        if name not in UNITS:
-            return None
-        power = UNITS[name] if not exponent else UNITS[name].to_power(int(exponent))._replace(text=word)
-        whole = whole.per(power) if divides else power if whole is ONE else whole.times(power)
-    return whole._replace(text=text)

@@ -311,6 +311,8 @@ class Study:
         from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 
         path, level = self.path / JOURNAL_NAME, optuna.logging.get_verbosity()
+        if path.exists() and not path.is_file():  # a pipe would be read for ever
+            raise RunError(f"{path} is not a regular file, so deepbots did not write it")
         if path.exists() and path.stat().st_size > _MAX_JOURNAL_BYTES:
             raise RunError(f"{path} is larger than {_MAX_JOURNAL_BYTES} bytes, so deepbots did not write it")
         optuna.logging.set_verbosity(optuna.logging.WARNING)  # or it reports each study that it makes

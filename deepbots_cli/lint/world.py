@@ -33,7 +33,7 @@ _MIN_DENSITY, _MAX_DENSITY = 0.1, 25_000.0
 """kg/m^3; air has 1.2, osmium 22 600, and a toy balloon weighs 0.2 for each m^3."""
 _MAX_SIZE_RATIO = 4.0
 """Times the size of a robot that begins within an object."""
-_MIN_LARGE_ROBOT_M, _MIN_ROBOT_DENSITY = 10.0, 1e-3
+_MIN_LARGE_ROBOT_M, _MIN_ROBOT_DENSITY = 10.0, 1e-5
 """m, and kg for each cube of the length; a drone of 0.5 m and 1 kg has 8, an arm of 0.75 m and 3.5 kg too."""
 _MIN_OVERLAP_M = 0.01
 """m; the heights of two bodies overlap by so much if one does not stand on the other."""
@@ -140,8 +140,8 @@ def odd_scale(context: RuleContext) -> Iterator[Finding]:
     A puck with `radius: 4 m` is 8 m across; its radius is probably in centimeters. The rule reports an object in which a robot begins, and
     which is at least four times as large as this robot; a movable object with a density below 0.1 or above 25 000 kg/m^3 (air: 1.2,
     osmium: 22 600); and a movable object that is 100 000 times as heavy as all robots together. For an object that must not move, write
-    `fixed: true` instead of a large mass. It also reports a robot of at least 10 m with a mass of less than 1 g for each cubic meter of its
-    size: lengths in a robot file are in meters, and these are probably in millimeters.
+    `fixed: true` instead of a large mass. It also reports a robot of at least 10 m whose mass is less than 10 mg for each cube of 1 m in
+    that of its length: lengths in a robot file are in meters, and these are probably in millimeters.
 
     Example::
 

@@ -450,9 +450,6 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
         else:
             headline = f"the lower limit of joint {quoted(name)} is above its upper limit, so deepbots ignores both"
             element.warn(headline, help="swap the two limits, or change the type of the joint to continuous", code="DB307")
-    elif kind == "continuous" and 0.0 < upper - lower < math.tau:  # files with no limit in mind write 0, or 1e16
-        headline = f"deepbots ignores the lower and upper limit of joint {quoted(name)}, because it is continuous"
-        element.warn(headline, help='write type="revolute" if the joint has limits', code="DB307")
     return Limit(None, None, velocity, effort)
 
 

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
-from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.diagnostics.nearest import is_typo, nearest_word
 from deepbots_cli.document import Document, Permissions, files, load, loads, shipped
 from deepbots_cli.document.load import NO_DRAFTS, TESTS, TUNE, Drafts
 from deepbots_cli.errors import RunError, UsageError
@@ -187,9 +187,10 @@ def _hint(path: Path) -> str:
         return f"the shipped scenario is called `{path.stem}`; `deepbots new {path.stem} --from {path.stem}` copies it to {path.stem}.yaml"
     if _is_path_of_run(path):
         return f"the current folder is {here}; `deepbots runs` lists the runs in its folder runs"
-    if path.suffix in (".yaml", ".yml") and path.stem not in names:
-        return f"the current folder is {here}{_scenario_files(here, path)}"
     near = nearest_word(path.stem, names)
+    is_shipped = near is not None and is_typo(path.stem, near) and len(path.parts) == 1
+    if path.suffix in (".yaml", ".yml") and not is_shipped:
+        return f"the current folder is {here}{_scenario_files(here, path)}"
     return f"did you mean {near}? (`deepbots scenarios` shows all)" if near else f"the shipped scenarios are: {', '.join(names)}"
 
 
@@ -216,7 +217,8 @@ def _elsewhere(path: Path, here: Path) -> str | None:
 def _scenario_files(here: Path, path: Path) -> str:
     """The scenario files of a folder, the nearest in name first."""
     names = sorted(file.name for file in here.glob("*.y*ml"))
-    near = nearest_word(path.name, names)
+    by_stem = {Path(name).stem: name for name in names}
+    near = nearest_word(path.stem, by_stem)
     if near:
-        return f"; did you mean {near}?"
+        return f"; did you mean {by_stem[near]}?"
     return f", whose .yaml files are {', '.join(names[:_MAX_LISTED])}" if names else ", which has no .yaml file"

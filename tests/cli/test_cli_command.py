@@ -160,11 +160,12 @@ def test_wrong_usage_ends_with_2_and_no_traceback(deepbots, words):
 
 
 @pytest.mark.parametrize("verb", ["lint", "compile", "inspect", "try", "train", "bench"])
-def test_a_missing_scenario_is_one_line_that_lists_the_shipped_ones(deepbots, verb):
+def test_a_missing_scenario_is_one_line_that_names_the_folder_and_its_files(deepbots, tmp_path, verb):
+    (tmp_path / "arm.yaml").touch()
     ran = deepbots(verb, "nowhere.yaml")
     assert (ran.code, ran.out) == (2, "")
     assert ran.err.startswith("error: ")
-    assert "cartpole" in ran.err
+    assert f"the current folder is {tmp_path}, whose .yaml files are arm.yaml" in ran.err
     assert ran.err.count("\n") == 1
 
 

@@ -109,13 +109,6 @@ def test_the_first_seconds_of_a_training_say_no_time_to_go():
     assert not math.isnan(progress.seconds_left(0, 60.0) or math.nan)
 
 
-def test_limits_of_a_continuous_joint_are_said_to_be_ignored(deepbots, tmp_path):
-    text = shipped.robot_path("rover").read_text(encoding="utf-8")
-    (tmp_path / "odd.urdf").write_text(text.replace('<limit effort="0.5"', '<limit lower="-1" upper="1" effort="0.5"'))
-    ran = deepbots("inspect", "odd.urdf")
-    assert "because it is continuous" in ran.out + ran.err
-
-
 @pytest.mark.parametrize("far", ["1e38", "12345678"])
 def test_a_mesh_with_a_vertex_far_out_is_refused_before_an_engine_searches_it(deepbots, tmp_path, far):
     (tmp_path / "far.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 {far} 0\nf 1 2 3\n")

@@ -22,6 +22,7 @@ from deepbots_cli.document import MappingNode, Permissions, inline_text, shipped
 from deepbots_cli.document.load import with_settings_at
 from deepbots_cli.document.nodes import node_at
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError
+from deepbots_cli.expressions.written import written_unit
 from deepbots_cli.program import Program
 
 if TYPE_CHECKING:
@@ -111,7 +112,6 @@ def _topics(program: Program) -> dict[str, Topic]:
 
 def _in_written_units(tables: inspection.Tables, root: MappingNode) -> inspection.Tables:
     """The tables with the ranges of observations and actions in the units of the file, such as deg; JSON has SI units."""
-    from deepbots_cli.insight.scenario_facts import written_unit
 
     def converted(section: str, row: Row) -> Row:
         node = node_at(root, section, str(row.get("name", row.get("action", ""))))

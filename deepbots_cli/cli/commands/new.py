@@ -224,7 +224,7 @@ def from_shipped(shipped_name: str, name: str) -> Files:
         names = shipped.scenario_names()
         near = nearest_word(shipped_name, names)
         hint = f" (did you mean {near}?)" if near else ""
-        if Path(shipped_name).is_file():
+        if shipped_name.endswith((".yaml", ".yml")) and os.path.isfile(shipped_name):
             own = f"copy your own file with `cp {quote(shipped_name)} {name}.yaml`, or write `extends: {shipped_name}` in a new file"
             raise UsageError(f"--from copies a scenario that comes with deepbots, and {shipped_name} is a file; {own}")
         raise UsageError(f"there is no shipped scenario '{shipped_name}'{hint}; shipped scenarios are: {', '.join(names)}")
