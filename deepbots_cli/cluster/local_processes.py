@@ -47,7 +47,7 @@ class Worker:
         self.beginning: tuple[object, ...] = ()
         self.owed: deque[Owed] = deque()
         try:
-            self._process = subprocess.Popen(
+            self.process = subprocess.Popen(
                 python_command("deepbots_cli.cluster.worker"),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
@@ -58,12 +58,12 @@ class Worker:
         except OSError as error:
             raise UsageError(f"a worker cannot start: {error.strerror}; use fewer workers") from error
         self._inbox = inbox
-        self._pipe = cast(IO[bytes], self._process.stdin)
+        self._pipe = cast(IO[bytes], self.process.stdin)
         threading.Thread(target=self._receive, daemon=True).start()
 
     def _receive(self) -> None:
         try:
-            with cast(IO[bytes], self._process.stdout) as source, suppress(EOFError, OSError, pickle.UnpicklingError):
+            with cast(IO[bytes], self.process.stdout) as source, suppress(EOFError, OSError, pickle.UnpicklingError):
                 while True:
                     self._inbox.put((self, pickle.load(source)))
         finally:
@@ -77,9 +77,9 @@ class Worker:
     def end(self, patience_s: float = 0.0) -> str:
         """End the process, unless it ends by itself until then; how it ended, in words."""
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(patience_s)
-        self._process.kill()
-        code = self._process.wait()
+            self.process.wait(patience_s)
+        self.process.kill()
+        code = self.process.wait()
         with suppress(OSError):
             self._pipe.close()
         return f"its process was ended by {signal.Signals(-code).name}" if code < 0 else f"its process ended with code {code}"

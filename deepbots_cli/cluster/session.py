@@ -41,7 +41,7 @@ class Cluster:
             raise UsageError(f"the number of workers must be from 1 to {MAX_WORKERS}, not {workers}")
         self.is_on_this_machine = address is None
         """Whether all workers see the files that this process sees."""
-        self._executor = RayCluster(address) if address is not None else LocalProcesses(workers or 1)
+        self._executor: RayCluster | LocalProcesses = RayCluster(address) if address is not None else LocalProcesses(workers or 1)
 
     def __enter__(self) -> Self:
         self._executor.__enter__()

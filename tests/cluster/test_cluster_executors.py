@@ -38,10 +38,6 @@ def test_results_and_errors_come_in_the_order_of_the_items(either: Cluster) -> N
     assert (squares, str(error), last) == ([0, 1, 4], "there is no square of 3", 16)
 
 
-def test_workers_leave_us_our_handler_of_sigterm(either: Cluster) -> None:
-    assert "ray" not in str(getattr(signal.getsignal(signal.SIGTERM), "__module__", ""))
-
-
 def test_a_worker_with_another_version_or_without_a_file_is_refused(
     either: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -151,9 +147,9 @@ def test_a_killed_worker_is_replaced_and_its_training_has_the_same_weights(
     cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     compiled = api.compile("cartpole", overrides=["train.n_steps=64"])
-    killed = act_at(monkeypatch, 300, 1, lambda: os.kill(workers()[0], signal.SIGKILL))
-    found = train_group(compiled, (0, 1), group=tmp_path / "killed", total_timesteps=1_500, progress=True, spread=cluster)
-    train_group(compiled, (0, 1), group=tmp_path / "here", total_timesteps=1_500)
+    killed = act_at(monkeypatch, 100, 1, lambda: os.kill(workers()[0], signal.SIGKILL))
+    found = train_group(compiled, (0, 1), group=tmp_path / "killed", total_timesteps=600, progress=True, spread=cluster)
+    train_group(compiled, (0, 1), group=tmp_path / "here", total_timesteps=600)
     assert len(killed) == 1
     assert not found.failed
     assert outcomes(tmp_path / "killed") == outcomes(tmp_path / "here")

@@ -84,7 +84,7 @@ def trained_here(scenario: Compiled, tmp_path_factory: pytest.TempPathFactory) -
 def test_trainings_whose_workers_were_killed_give_the_same(
     cluster: Cluster, scenario: Compiled, trained_here: GroupTraining, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    killed = act_at(monkeypatch, 1_000, 4, lambda: os.kill(workers()[-1], signal.SIGKILL))
+    killed = act_at(monkeypatch, 1_000, 4, lambda: os.kill(workers()[0], signal.SIGKILL))
     found = train_group(scenario, SEEDS, group=tmp_path / "killed", total_timesteps=6_000, progress=True, spread=cluster)
     assert len(killed) == 4
     assert not found.failed

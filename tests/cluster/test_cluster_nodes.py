@@ -38,6 +38,13 @@ def add(nodes: Any) -> Any:
 
 
 @pytest.mark.slow
+def test_to_join_a_cluster_leaves_us_our_handler_of_sigterm(nodes: Any) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with Cluster(address=nodes.address):
+        assert signal.getsignal(signal.SIGTERM) == before
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["PPO", "SAC"])
 def test_a_node_that_is_lost_and_one_that_joins_change_nothing(nodes: Any, tmp_path: Path, name: str) -> None:
     living = [add(nodes), add(nodes)]

@@ -6,7 +6,6 @@ import csv
 import os
 import signal
 import subprocess
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.cluster import Cluster
+from deepbots_cli.cluster.local_processes import LocalProcesses, Owed, Worker
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import resume, train
 from deepbots_cli.learning.report import Reporter, TrainingProgress
@@ -112,18 +112,24 @@ def test_workers_with_several_shards_give_the_same(cluster: Cluster, tmp_path: P
     assert kill.notes
 
 
-@pytest.mark.slow
-def test_an_episode_that_always_kills_its_worker_ends_the_training(cluster: Cluster, tmp_path: Path) -> None:
-    class KillEach(At):
-        def note(self, text: str) -> None:
-            super().note(text)
-            if "was lost" in text:
-                while not (left := workers()):
-                    time.sleep(0.1)
-                os.kill(left[-1], signal.SIGKILL)
+class DeadlyProcesses(LocalProcesses):
+    """Processes that die as soon as they get work."""
 
-    kill = KillEach(400, lambda: os.kill(workers()[0], signal.SIGKILL))
-    with pytest.raises(RunError, match="ended its worker 3 times in the steps after"):
-        trained("PPO", tmp_path / "run", cluster, progress=kill)
+    is_deadly = False
+
+    def ask(self, worker: Worker, method: str, *arguments: object) -> Owed:
+        if self.is_deadly and method == "work":
+            worker.process.kill()
+        return super().ask(worker, method, *arguments)
+
+
+@pytest.mark.slow
+def test_an_episode_that_always_kills_its_worker_ends_the_training(tmp_path: Path) -> None:
+    processes = DeadlyProcesses(2)
+    kill = At(400, lambda: setattr(processes, "is_deadly", True))
+    with Cluster(workers=2) as cluster, processes:
+        cluster._executor = processes
+        with pytest.raises(RunError, match="ended its worker 3 times in the steps after"):
+            trained("PPO", tmp_path / "run", cluster, progress=kill)
     resume(tmp_path / "run")
     assert outcome(tmp_path / "run") == trained("PPO", tmp_path / "here", THIS_PROCESS)
