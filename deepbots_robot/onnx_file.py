@@ -144,8 +144,8 @@ def require_plain(graph: bytes) -> int:
 
 def _operations_of_model(content: memoryview) -> int:
     size = 0
-    for each in _plain_sizes(content):
-        size += each
+    for part in _plain_sizes(content):
+        size += part
         if size > _MAX_PLAIN_BYTES:
             raise _RefusedError(f"it has more than {_MAX_PLAIN_BYTES:,} bytes without the numbers of its weights")
     model = _read(content, _MODEL, "the model")

@@ -19,7 +19,7 @@ def cluster() -> Iterator[Cluster]:
         yield found
 
 
-@pytest.fixture(scope="module", params=["processes", "ray"])
+@pytest.fixture(scope="module", params=["processes", pytest.param("ray", marks=pytest.mark.slow)])
 def either(request: pytest.FixtureRequest) -> Iterator[Cluster]:
     """Two workers of each kind."""
     if request.param == "processes":

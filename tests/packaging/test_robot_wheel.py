@@ -159,8 +159,9 @@ def test_without_the_robot_a_scenario_lints_and_runs(words: tuple[str, ...], tmp
         (("inspect", "cartpole", "--ros"), "--ros"),
         (("serve", "bundle"), "serving a policy"),
         (("export", "--new-key", "key"), "making a key"),
+        (("export", "--check", "cartpole", "bundle"), "reading a bundle"),
     ],
-    ids=lambda words: words[0],
+    ids=["a section", "topics", "serving", "a key", "a bundle"],
 )
 def test_what_needs_the_robot_names_the_extra(words: tuple[str, ...], what: str, tmp_path: Path) -> None:
     (tmp_path / "named.yaml").write_text(ROS, encoding="utf-8")
