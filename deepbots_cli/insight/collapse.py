@@ -104,6 +104,8 @@ def fell_apart(t: TrainingEvidence) -> Numbers | None:
         }
     found = suspects(t, fall)[:_SHOWN]
     reasons = " ".join(f"{number}{suspect.reason}." for number, suspect in zip(("", "Or "), found, strict=False))
+    if not reasons:
+        reasons = "No setting is unusual: later updates may still be too large for a policy that has learned."
     advice = _fallback(t) if not found else f"Write {', or '.join(suspect.advice for suspect in found)}."
     settings = {suspect.path: suspect.advised for suspect in found[:1]} or _fallback_settings(t)
     return {
@@ -111,7 +113,7 @@ def fell_apart(t: TrainingEvidence) -> Numbers | None:
         # Before the rows of single settings; after faults of the reward if no setting is far from usual.
         "likelihood": 0.945 if found and found[0].weight >= 1.0 else 0.9,
         "fall": text[0].upper() + text[1:],
-        "reasons": reasons or "No setting is unusual: later updates may still be too large for a policy that has learned.",
+        "reasons": reasons[0].upper() + reasons[1:],
         "advice": advice,
         "suspects": [suspect._asdict() for suspect in found],
         "settings": settings,
@@ -155,7 +157,10 @@ def suspects(t: TrainingEvidence, fall: Decline) -> list[Suspect]:
     )
     found += [rule(t, fall) for rule in rules]
     named = [each for each in found if each is not None and each.weight >= SUSPECTED and each.now != each.advised]
-    return sorted(named, key=lambda each: -each.weight)
+    by_path: dict[str, Suspect] = {}  # of several reasons for a change of one setting, the strongest
+    for each in sorted(named, key=lambda each: -each.weight):
+        by_path.setdefault(each.path, each)
+    return list(by_path.values())
 
 
 def _of_scale(t: TrainingEvidence, fall: Decline, name: str, scale: _Scale) -> Suspect | None:
@@ -270,7 +275,7 @@ def _small_rollouts(t: TrainingEvidence, fall: Decline) -> Suspect | None:
     if not rows or not steps or "n_epochs" not in t.settings:
         return None
     usual = max(32.0, 256 / rows * steps)
-    reason = f"an update uses {rows:,.0f} steps only, and 256 or more are usual"
+    reason = f"an update uses {rows:,.0f} steps only (`n_steps` in each world), and 256 or more are usual"
     return Suspect("train.n_steps", f"{steps:g}", f"{usual:.0f}", reason, math.log(256 / rows) / math.log(8))
 
 

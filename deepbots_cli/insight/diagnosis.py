@@ -21,7 +21,7 @@ import numpy as np
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError
-from deepbots_cli.insight.collapse import fell_apart
+from deepbots_cli.insight.collapse import fell_apart, suspects
 from deepbots_cli.insight.ends import (
     TOTAL_TIMESTEPS,
     kept_by_return,
@@ -371,7 +371,7 @@ def learning_rate_too_high(t: TrainingEvidence) -> Numbers | None:
     Try: Set `train.learning_rate` to {usual}.
     """
     rate, usual = t.number_setting("learning_rate"), _usual_rate(t)
-    if rate is None:
+    if rate is None or _names_rate(t):
         return None
     clipped, kl = (float(t.curve(f"train/{name}").max(initial=0.0)) for name in ("clip_fraction", "approx_kl"))
     times = rate / usual
@@ -381,6 +381,11 @@ def learning_rate_too_high(t: TrainingEvidence) -> Numbers | None:
     return {"likelihood": 0.93 if times >= 20 else 0.75 if times > 5 else 0.5, "rate": rate, "usual": usual, "times": times,
             "clipped": Percentage(clipped), "kl": kl, "first": first, "last": last,
             "settings": {"train.learning_rate": f"{usual:g}"}}  # fmt: skip
+
+
+def _names_rate(t: TrainingEvidence) -> bool:
+    """Whether the cause of a fall names the learning rate."""
+    return t.decline is not None and any(each.path == "train.learning_rate" for each in suspects(t, t.decline))
 
 
 def _usual_rate(t: TrainingEvidence) -> float:
@@ -558,7 +563,7 @@ def _exploration_changes(t: TrainingEvidence, factor: float) -> list[Change]:
 
 
 def exploration_too_large(t: TrainingEvidence) -> Numbers | None:
-    """The policy is still random: after {updates} updates it has {share} of its initial randomness (entropy {entropy}), with `ent_coef`
+    """The policy is still random: after {updates} updates it has {randomness} its initial randomness (entropy {entropy}), with `ent_coef`
     {weight}. The mean return of late training episodes is {late}{evaluated}.
 
     Try: Lower `train.ent_coef` from {weight} to {wanted}.
@@ -573,6 +578,7 @@ def exploration_too_large(t: TrainingEvidence) -> Numbers | None:
         return None
     last = fmean(t.evaluations[-1]["returns"]) if t.evaluations else None
     return {"likelihood": 0.93 if weight >= 0.1 else 0.5, "weight": weight, "entropy": late, "share": Percentage(share),
+            "randomness": f"{Percentage(share)} of" if share < 10 else "more than 10 times",
             "updates": len(entropy), "late": float(t.episodes_between(0.75, 1.0).returns.mean()), "last_evaluation": last,
             "evaluated": "" if last is None else f", and that of the last evaluation, without exploration, {last:.3g}",
             "wanted": min(0.01, 0.1 * weight), "settings": {"train.ent_coef": f"{min(0.01, 0.1 * weight):.3g}"}}  # fmt: skip

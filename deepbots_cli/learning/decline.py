@@ -75,7 +75,7 @@ class Decline:
         best, last = map("{:.0%}".format if self.measure == "success_rate" else "{:.4g}".format, (self.best_value, self.last_value))
         return (
             f"the training got worse: the {name} of its evaluations fell from {best} at {self.best_steps:,} steps to {last}"
-            f" in {self.last} ({self.last_episodes:,} episodes), after about {self.since_steps:,} steps"
+            f" in {self.last} ({self.last_episodes:,} episodes), since about {self.since_steps:,} steps"
         )
 
 

@@ -37,7 +37,7 @@ def test_a_training_that_gets_much_worse_after_its_best_evaluation_is_named():
     assert (found.best_steps, found.since_steps, found.last_episodes) == (7000, 8000, 60)
     assert found.last_value == pytest.approx(19 / 60)
     assert "the success rate of its evaluations fell from 100% at 7,000 steps to 32%" in found.text
-    assert "after about 8,000 steps" in found.text
+    assert "since about 8,000 steps" in found.text
     returns = decline(_evaluations(FALL), "mean_return")
     assert returns is not None
     assert returns.best_value > 190
