@@ -11,6 +11,7 @@ import os
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Literal
 
@@ -137,9 +138,9 @@ def find_in(folder: Path, name: str, depth: int = _MAX_DEPTH) -> Path | None:
         here, level = waiting.pop(0)
         visited += 1
         try:
-            entries = sorted(here.iterdir())[:_MAX_ENTRIES]
-            if any(entry.name == name for entry in entries):
+            if (here / name).exists():
                 return here / name
+            entries = sorted(islice(here.iterdir(), _MAX_ENTRIES))
             if level < depth:
                 below = (entry for entry in entries if not entry.name.startswith(".") and entry.name not in _NOT_SEARCHED)
                 waiting += [(entry, level + 1) for entry in below if entry.is_dir() and not entry.is_symlink()]

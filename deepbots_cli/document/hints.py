@@ -78,7 +78,9 @@ class _Problem:
 
     def line_above(self, start: int) -> _Line | None:
         """The nearest line with text above the one that begins at `start`."""
-        while start > 0:
+        for _ in range(_MAX_LINES_ABOVE):
+            if start <= 0:
+                break
             start = self.source.text.rfind("\n", 0, start - 1) + 1
             if line := self.line_at(start):
                 return line
@@ -90,7 +92,8 @@ class _Problem:
 
     def rest(self, start: int) -> str:
         """The line from `start` on, without a comment."""
-        line = self.source.text[start:].partition("\n")[0]
+        end = self.source.text.find("\n", start)
+        line = self.source.text[start : end if end >= 0 else len(self.source.text)]
         return re.split(r"\s#", line, maxsplit=1)[0].rstrip()
 
     def says(self, *words: str) -> bool:

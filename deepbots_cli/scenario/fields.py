@@ -33,6 +33,7 @@ _JSON_TYPES = {str: "string", int: "integer", float: "number", bool: "boolean", 
 MAX_MAGNITUDE = 1e30
 """Beyond this a number means nothing physical, and arithmetic on it overflows."""
 _MAX_LISTED = 24
+_MAX_NUMBER_LENGTH = 40
 _NUMBER = r"[-+]?(?:[0-9]+(?:_[0-9]{3})*\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _UNIT = r"[A-Za-z%1][A-Za-z0-9%*/^()-]*"
 GROUPED_DIGITS = r"[-+]?[0-9]{1,3}(_[0-9]{3})+"
@@ -118,7 +119,7 @@ def count_replacement(value: object) -> str | None:
 
 def number_replacement(value: object) -> Replacement | None:
     """The number that a text in quotes, or with a decimal comma, was meant to be; a comma may also group thousands."""
-    text = value.strip() if isinstance(value, str) else ""
+    text = value.strip() if isinstance(value, str) and len(value) <= _MAX_NUMBER_LENGTH else ""  # the pattern is quadratic in digits
     if re.fullmatch(_NUMBER, text):
         return Replacement(text, safe=True)
     if found := re.fullmatch(r"([-+]?[0-9]+),([0-9]+(?:[eE][-+]?[0-9]+)?)", text):

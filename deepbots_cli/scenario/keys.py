@@ -37,6 +37,8 @@ from deepbots_cli.scenario.training import SET_ELSEWHERE_HELP, Training
 _RESERVED = {"agents": "competing agents are not supported yet"}
 _MAX_EXAMPLE_CHARACTERS = 120
 _MAX_LINE_CHARACTERS = 120
+_MAX_VALUE_CHARACTERS = 400
+"""A longer value is not tried as an entry of another mapping: patterns of numbers take quadratic time."""
 _MAX_HOMES = 6
 _MAX_HOLDERS = 3
 """Number of mappings one level down that can hold a name; more say nothing."""
@@ -106,7 +108,8 @@ def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Sug
         return Suggestion(_beside(f"did you mean `{near.text}`? Write `{_line(root, path, near.text)}`", section), near)
     if home := _home_next_to(path[:-1], key):
         return Suggestion(_beside(f"write `{_line(root, path, key)}` {home}", section))
-    if holders := _holders(section, key, to_data(descend(root, path)[0])):
+    node = descend(root, path)[0]
+    if node.span.end - node.span.start <= _MAX_VALUE_CHARACTERS and (holders := _holders(section, key, to_data(node))):
         places = " or ".join(f"`{holder}:`" for holder in holders)
         return Suggestion(_beside(f"a name that you choose stands one level further in: write this line below {places}", section))
     if near:
@@ -154,15 +157,20 @@ def _line(root: nodes.MappingNode, path: NodePath, key: str) -> str:
     return f"{key}{behind}" if re.fullmatch(rf":[^\n]{{1,{_MAX_LINE_CHARACTERS}}}", behind) else f"{key}:"
 
 
+@cache
+def _validator_of(section: type[Section], key: str) -> TypeAdapter[Any]:
+    info = section.model_fields[key]
+    annotation: Any = Annotated[(info.annotation, *info.metadata)] if info.metadata else info.annotation
+    return TypeAdapter(annotation)
+
+
 def _holders(section: type[Section], name: str, value: object) -> list[str]:
     """The mappings of a section whose names the user chooses and which take this value; none if there are many."""
     found = []
     for key, shape in section_fields(section).items():
         if isinstance(shape, MappingOf) and not (isinstance(shape.value, FieldType) and not fits(shape.value, value)):
-            info = section.model_fields[key]
-            annotation: Any = Annotated[(info.annotation, *info.metadata)] if info.metadata else info.annotation
             try:
-                TypeAdapter(annotation).validate_python({name: value}, context={LENIENT: True})
+                _validator_of(section, key).validate_python({name: value}, context={LENIENT: True})
             except ValidationError:
                 continue
             found.append(key)
