@@ -34,6 +34,7 @@ NAMES = {
     "README.md": "index.md",
     LIST: "pages.md",
     "CONTRIBUTING.md": "contributing.md",
+    "SECURITY.md": "security.md",
     "CHANGELOG.md": "changelog.md",
     "NOTICES.md": "notices.md",
 }

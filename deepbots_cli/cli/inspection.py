@@ -65,7 +65,7 @@ def scenario_tables(scenario: Program, root: Node, run: Run | None = None, learn
                     "robot": body.name,
                     "model": body.model.name,
                     **_counts(body.model),
-                    **_drawn_mass(scenario, body.name, _counts(body.model)["mass_kg"]),
+                    **_drawn_mass(scenario, body.name),
                     "base": "fixed" if body.fixed_base else "free",
                 }
                 for body in scenario.world.robots
@@ -148,10 +148,10 @@ def _counts(model: RobotModel) -> Row:
     }
 
 
-def _drawn_mass(scenario: Program, robot: str, mass: object) -> Row:
-    """The mass of a robot with links whose masses are drawn in every episode: that of the nominal values, and a mark."""
+def _drawn_mass(scenario: Program, robot: str) -> Row:
+    """A mark where `mass_kg` is the mean of masses that are drawn in every episode."""
     is_drawn = any(entry.what == "mass" and entry.of[:1] == (robot,) for entry in scenario.reset.variations)
-    return {"mass_kg": f"{mass:.4g} on average, drawn in every episode"} if is_drawn else {}
+    return {"mass": "the mean; drawn in every episode"} if is_drawn else {}
 
 
 def _link(link: Link, joint: str) -> Row:

@@ -14,4 +14,5 @@ check.py        syntax tree to typed tree
 scalar.py       scalar trees: one tree per SI number, as the compiled scenario holds them
 lower.py        typed tree to scalar trees, with constants folded; scalar trees to Python text, for a target
 text.py         values and scalar trees as text for people
+written.py      the units that a text is written in
 """

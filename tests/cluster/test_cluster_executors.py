@@ -73,7 +73,8 @@ def test_workers_give_the_same_as_this_process_also_after_one_was_lost(either: C
 
 
 SCRIPT = """
-import os
+import os, signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a test in the background ignores it
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.learning.spread import Watcher
 from tests.cluster.calls import sleep
@@ -112,7 +113,7 @@ def test_no_worker_outlives_its_parent(number: signal.Signals, tmp_path: Path) -
     process, pids = begun(600, tmp_path)
     assert len(alive(pids)) == 2
     process.send_signal(number)
-    process.communicate(timeout=30)
+    process.communicate(timeout=60)
     deadline = time.monotonic() + 10
     while alive(pids) and time.monotonic() < deadline:
         time.sleep(0.05)

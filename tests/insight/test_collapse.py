@@ -136,7 +136,7 @@ def test_a_training_that_gets_worse_after_its_teacher_ended_is_told_so(short):
     taught = [1.0] * 12 + [0.5] * 2 + [0.0] * 6  # the weight falls from 37,900 steps on, the evaluations from 42,000
     first = diagnose(_fallen(short, teacher__weight=taught))[0]
     assert first.cause == "fell_apart"
-    assert "it fell after the teacher had ended, at 37,894 steps" in first.text
+    assert "It fell after the teacher had ended, at 37,894 steps" in first.text
     assert first.settings == {"train.learning_rate": "0.001"}
     during = diagnose(_fallen(short, teacher__weight=[1.0] * 20))[0]
     assert during.cause == "fell_apart"
