@@ -26,7 +26,7 @@ SUSPECTED = 0.5
 """The weight from which on a setting is named; that of a shipped scenario stays below."""
 _SHOWN = 2
 _LARGE_UPDATE = 0.03
-"""KL divergence of an update that changes the policy a lot; in a usual one it is 0.003 to 0.02."""
+"""KL divergence of an update that changes the policy a lot; in a usual one it is 0.003 to 0.02, as `_of_scale` says."""
 _OVERESTIMATES = 1.3
 """The predicted value over the return that followed."""
 _USUAL_RETURN, _LARGE_RETURN = 300.0, 10.0
@@ -180,7 +180,8 @@ def _of_scale(t: TrainingEvidence, fall: Decline, name: str, scale: _Scale) -> S
         if len(divergence):
             high = float(np.quantile(divergence, 0.9))
             weight *= 1.0 if high >= _LARGE_UPDATE else 0.6
-            reason += f"; the KL divergence of an update is up to {divergence.max():.2g} since {fall.best_steps:,} steps"
+            size = f"up to {divergence.max():.2g} (usual: 0.003 to 0.02)"
+            reason += f"; the KL divergence, by which an update changes the policy, is {size} since {fall.best_steps:,} steps"
     if name == "ent_coef":
         before, after = (-_part(t, "train/entropy_loss", *ends) for ends in _before_and_after(fall))
         if len(before) and len(after):

@@ -409,7 +409,7 @@ def learning_rate_too_low(t: TrainingEvidence) -> Numbers | None:
     if usual < 10 * rate or (kl.max() > 1e-3 if len(kl) else usual < 50 * rate):
         return None
     first, last = (float(t.episodes_between(*ends).returns.mean()) for ends in ((0.0, 0.25), (0.75, 1.0)))
-    divergence = f", and the largest KL divergence of an update is {kl.max():.2g}" if len(kl) else ""
+    divergence = f", and the largest KL divergence, by which an update changes the policy, is {kl.max():.2g}" if len(kl) else ""
     return {"likelihood": 0.93, "rate": rate, "usual": usual, "times": usual / rate, "steps": t.steps, "first": first, "last": last,
             "divergence": divergence, "settings": {"train.learning_rate": f"{usual:g}"}}  # fmt: skip
 

@@ -226,7 +226,8 @@ def test_the_command_compares_engines_and_is_a_gate(run_of: Any, capsys: pytest.
     assert {each["name"] for each in found["differences"]} >= {"cart.pole_angle", "x"}
     assert main(["transfer", path, "--quick", "--episodes", "2", "--min-return", "200"]) == 1
     shown = capsys.readouterr().out
-    assert re.match(r"works neither in pybullet nor in mujoco: mean return \S+ and \S+, judged by 2 episodes\n", shown)
+    score = r"\S+ \(95 %: \S+ \.\. \S+\)"
+    assert re.match(rf"works neither in pybullet nor in mujoco: mean return {score} and {score}, judged by 2 episodes\n", shown)
     assert "CartPole in pybullet and in mujoco, 2 held-out starts" in shown
     assert "failed: pybullet: mean return" in shown
     assert "the changes are alternatives" in shown

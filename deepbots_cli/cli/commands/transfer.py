@@ -17,7 +17,7 @@ from deepbots_cli.cli import processes, records, terminal
 from deepbots_cli.cli.command import ADVANCED, MAX_SEED, ClusterAddress, Json, Workers, fraction, integer, known_engine, option
 from deepbots_cli.cli.commands.eval import Gates
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.records import number, percent
+from deepbots_cli.cli.records import number, percent, with_interval
 from deepbots_cli.cli.tables import table
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import ENGINES
@@ -245,7 +245,12 @@ def _verdict(found: Transfer) -> list[str]:
     is_rate = found.here.success_defined and not is_lower
     worlds = [*zip(found.names, (found.here, found.there), strict=True)][:: -1 if other and not one else 1]
     names = [name for name, _ in worlds]
-    scores = [percent(result.success_rate) if is_rate else number(result.mean_return) for _, result in worlds]
+    scores = [
+        with_interval(result.success_rate, result.success_interval, percent)
+        if is_rate
+        else with_interval(result.mean_return, result.return_interval)
+        for _, result in worlds
+    ]
     measure = "success rate " if is_rate else "mean return "
     shown = f"{'' if is_lower else measure}{scores[0]} and {scores[1]}, judged by {found.here.episodes} episodes"
     if one is None or other is None:
