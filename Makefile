@@ -48,10 +48,16 @@ fuzz: dev ## damaged files: lint, then fmt, diff and editors for a tenth; COUNT=
 check: dev ## everything that a change must pass
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/mypy --platform win32
+	$(MAKE) --no-print-directory -j 2 types types-on-windows
 	$(BIN)/lint-imports
 	$(PYTEST) -m "not slow and not editors and not browser"
+
+# With a cache of its own, neither discards what the other one has cached.
+.PHONY: types types-on-windows
+types: dev
+	$(BIN)/mypy
+types-on-windows: dev
+	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/win32
 
 .PHONY: editors
 editors: dev $(EDITORS)/installed ## what editors make of the JSON Schema and of the language server, and code scanning of SARIF; needs node and npm

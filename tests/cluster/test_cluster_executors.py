@@ -61,6 +61,7 @@ def test_a_lost_call_is_repeated_up_to_three_times(either: Cluster) -> None:
     assert sorted(losses.items) == [0, 1, 1]
 
 
+@pytest.mark.slow
 def test_workers_give_the_same_as_this_process_also_after_one_was_lost(either: Cluster, tmp_path: Path) -> None:
     kill = At(400, lambda: os.kill(workers()[0], signal.SIGKILL))
     assert trained("PPO", tmp_path / "workers", either, progress=kill) == trained("PPO", tmp_path / "here", THIS_PROCESS)
@@ -108,7 +109,7 @@ def alive(numbers: set[int]) -> set[int]:
     return found
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
 def test_no_worker_outlives_its_parent(number: signal.Signals, tmp_path: Path) -> None:
     process, pids = begun(600, tmp_path)
     assert len(alive(pids)) == 2

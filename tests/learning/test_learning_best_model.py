@@ -176,7 +176,7 @@ def test_the_best_of_many_small_evaluations_is_chosen_again_on_new_starts(tmp_pa
     # The first evaluation is the best by luck; on new starts only the model of the third one succeeds.
     build = Worlds(lambda number: (1.0, number < 3), choice=lambda number: (1.0, number == 0))
     notes = Notes()
-    result = learned(tmp_path, build, total=20_000, solved=None, progress=notes)
+    result = learned(tmp_path, build, total=12_000, solved=None, progress=notes)
     *_, third = evaluated_steps(result)[:3]
     assert result.best is not None
     assert (result.best.chosen_by, result.best.steps) == ("new starts", third)  # of equals it was the first to play
@@ -194,7 +194,7 @@ def test_the_best_of_many_small_evaluations_is_chosen_again_on_new_starts(tmp_pa
 
 
 def test_candidates_are_models_that_can_be_named(tmp_path: Path) -> None:
-    result = learned(tmp_path, Worlds(lambda number: (float(number), False)), total=20_000, solved=None)
+    result = learned(tmp_path, Worlds(lambda number: (float(number), False)), total=8_000, solved=None)
     files = sorted((result.run / "models" / "agent").glob("candidate-*.zip"))
     assert 2 <= len(files) <= 5
     assert steps_of(result, files[0].stem) == int(files[0].stem.removeprefix("candidate-"))
@@ -271,7 +271,7 @@ def test_a_single_lucky_evaluation_of_an_off_policy_training_begins_no_confirmat
 
 def test_each_confirmation_has_new_starts_and_failed_ones_take_a_tenth_of_the_steps(tmp_path: Path) -> None:
     build = Worlds(good, confirmation=poor)
-    result = learned(tmp_path, build, total=12_000)
+    result = learned(tmp_path, build, total=8_000)
     begun = [CONFIRMATIONS[seed] for seed in build.seeds if seed in CONFIRMATIONS]
     assert set(begun) == set(range(1, result.confirmations + 1))
     assert result.confirmations >= 2

@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import atan2, dist, hypot, pi
+from math import atan2, dist, hypot, inf, pi
 
 from deepbots_cli import frames
 from deepbots_cli.footprint import Bounds, bounds_of_shape, box_around, box_sides, child_frame, link_frames, robot_bounds
@@ -26,6 +26,8 @@ _MAX_LEVEL_Z, _MIN_UPRIGHT_Z = 0.3, 0.7
 _WHEEL_TOLERANCE = 0.15
 """Tolerance of a wheel's roundness and of its height above the ground, as a fraction of its radius."""
 _MAX_ITERATIONS = 80
+_LEAST_PROGRESS = 1e-3
+"""A search ends where a round shortens the distance by a smaller part: the target is out of reach."""
 _INITIAL_BEND = 0.4
 """Where a search for joint positions begins, in rad: a straight limb does not know which way to bend."""
 
@@ -81,7 +83,9 @@ class Limb:
         used = self.joints if using is None else using
         positions = {joint.name: neutral(joint) for joint in self.joints}
         positions |= {joint.name: _bent(joint, number) for number, joint in enumerate(used)}
+        missing = inf
         for _ in range(_MAX_ITERATIONS):
+            before = missing
             for joint in reversed(used):
                 placed = self.frames(positions)
                 (pivot, turn), tip = placed[joint.name], placed[self.path[-1].name][0]
@@ -94,7 +98,7 @@ class Limb:
                     change = atan2(frames.dot(frames.cross(axis, level), wanted), frames.dot(level, wanted))
                 positions[joint.name] = _clamped(joint, positions[joint.name] + change)
             missing = dist(self.frames(positions)[self.path[-1].name][0], target)
-            if missing < 1e-4:
+            if missing < 1e-4 or before - missing < _LEAST_PROGRESS * missing:
                 break
         return positions, missing
 
