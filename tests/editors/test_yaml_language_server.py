@@ -136,7 +136,7 @@ def test_names_of_the_scenario_are_offered_where_they_may_stand(typed_for: Type,
     ("old", "new", "shown"),
     [
         ("timestep:", "time§step:", ["Duration of one control step", "Unit: s", "Required", "Example: timestep: 32 ms"]),
-        ("wall_height:", "wall§_height:", ["Height of the walls", "Unit: m", "Default: 0", "20 cm"]),
+        ("size: 1 1 m}", "size: 1 1 m, wall§_height: 20 cm}", ["Height of the walls", "Unit: m", "Default: 0", "20 cm"]),
         ("gae_lambda:", "gae§_lambda:", ["trade-off between bias and variance", "Example: gae"]),
         ("  alive: 1", "  al§ive: 1", ["Terms of the reward"]),
         ("pole_angle: {", "pole§_angle: {", ["Measures one joint, or several joints by name."]),
