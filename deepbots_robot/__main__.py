@@ -7,6 +7,7 @@ bundle it would run a file `json.py` of that bundle.
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import sys
 from collections.abc import Sequence
@@ -46,6 +47,9 @@ def _parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; 1 after an error, or if nothing was served in `--seconds`."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a terminal of another encoding shows escapes
     options = _parser().parse_args(arguments)
     try:
         return _check(options) if options.command == "check" else _serve(options)

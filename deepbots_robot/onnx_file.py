@@ -278,6 +278,9 @@ def _operations(node: _Node, read: Sequence[_Tensor], results: Sequence[_Tensor]
         case "Conv":
             return _SUM_COST * results[0].shape[0] + made * max(1, prod(shapes[1][1:])) + taken
         case "LSTM":
+            # Its time and memory grow with both in ways that are hard to bound; an export has one step of one world.
+            if shapes[0][:2] != (1, 1):
+                raise _RefusedError("an LSTM computes more than one step of one world")
             return 2 * max(1, *shapes[0][:1]) * taken + 100 * made
         case "Gather":
             copies = made // max(1, prod(shapes[0][node.axis + 1 :] if node.axis >= 0 else ()))

@@ -371,6 +371,15 @@ def _sequence_lengths(forged: Forged) -> None:
     forged.set_graph(graph)
 
 
+def _many_worlds(forged: Forged) -> None:
+    graph = forged.graph
+    for name, shape in {"steps": (60, 4_000, 1), "weights": (1, 1_600, 1), "recurrent": (1, 1_600, 400)}.items():
+        graph.graph.initializer.append(numpy_helper.from_array(np.zeros(shape, np.float32), name))
+    graph.graph.node.append(helper.make_node("LSTM", ["steps", "weights", "recurrent"], ["", "hidden_after"], hidden_size=400))
+    graph.graph.value_info.append(helper.make_tensor_value_info("hidden_after", TensorProto.FLOAT, [1, 4_000, 400]))
+    forged.set_graph(graph)
+
+
 def _no_inputs(forged: Forged) -> None:
     graph = forged.graph
     graph.graph.node.append(helper.make_node("Conv", ["bot.gyro"], ["wide"]))
@@ -456,6 +465,7 @@ WAYS: dict[str, tuple[Callable[[Forged], None], str]] = {
     "whole numbers divided by zero": (_whole_numbers_divided, "'Div' divides whole numbers"),
     "a kernel as large as the picture": (_wide_convolution, "a step has more than"),
     "an LSTM without weights": (_sequence_lengths, "is not one that an export writes"),
+    "an LSTM of 4,000 worlds": (_many_worlds, "computes more than one step of one world"),
     "a convolution without a kernel": (_no_inputs, "policy.onnx is damaged"),
     "a shape with 50,000 sides": (_long_shape, "more than 8 sides"),
     "a truth value of two": (_truth_that_is_two, "is neither 0 nor 1"),

@@ -53,6 +53,15 @@ def test_the_check_runs_nothing_that_lies_in_the_folder(folder: Path, tmp_path: 
     assert (done.returncode, done.stderr) == (0, "")
 
 
+def test_a_terminal_of_another_encoding_gets_escapes(folder: Path) -> None:
+    """The name of a scenario with other letters ended in a traceback under LC_ALL=C."""
+    code = "import sys; from deepbots_robot.__main__ import main; print('\\u03bb', end='') if main(sys.argv[1:]) else print('\\u03bb')"
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    words = [sys.executable, "-P", "-c", code, "check", str(folder)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60, env=environment)
+    assert (done.returncode, done.stdout.splitlines()[-1], done.stderr) == (0, "\\u03bb", "")
+
+
 @pytest.mark.parametrize(
     ("module", "package", "words", "extra"),
     [

@@ -195,6 +195,9 @@ class Arithmetic:
         zero, one, pi = self.constant([0.0]), self.constant([1.0]), self.constant([math.pi])
         below, left = (self._negative(self._node("Div", one, side)) for side in (y, x))  # -0.0 is negative, too
         at_origin = self.both(self.binary("Equal", y, zero), self.binary("Equal", x, zero))
+        # Products of a tiny number would vanish: 5e-324 and 0 had an angle that is wrong by 4e-8.
+        size = self.where(at_origin, one, self._node("Max", self._node("Abs", y), self._node("Abs", x)))
+        y, x = self._node("Div", y, size), self._node("Div", x, size)
         slope = self._node("Div", y, self.where(at_origin, one, x))
         coarse = Value(self.graph.cast(self.graph.add("Atan", self.graph.cast(slope.name, np.float32)), np.float64), slope.size)
         turned = self._node("Add", coarse, self.where(below, self.constant([-math.pi]), pi))
