@@ -120,6 +120,10 @@ class RunError(UsageError):
     """A run directory cannot be used for what was asked."""
 
 
+class StorageError(RunError):
+    """A file cannot be written, because the disk is full, for example: other trainings in this place would fail too."""
+
+
 class MessageError(DeepbotsError):
     """A message between robot and supervisor does not fit its layout; names robot, step and field."""
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from deepbots_cli.errors import RunError
+from deepbots_cli.errors import RunError, StorageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning.callbacks import TrainingCallback, check_finite
 from deepbots_cli.learning.checkpoint_files import (
@@ -171,7 +171,7 @@ class Checkpoints:
                 copy.unlink()
             if isinstance(error, RunError):
                 raise
-            raise RunError(unwritable_message(self.run.checkpoints, error)) from error
+            raise StorageError(unwritable_message(self.run.checkpoints, error)) from error
         shared = set(self._learner.shared_files())
         kept = {whole, *shared, *(path.parent for path in shared)}
         for path in [*self.run.checkpoints.iterdir(), *(path for parent in kept - {whole} if parent.is_dir() for path in parent.iterdir())]:

@@ -16,7 +16,7 @@ from typing import Annotated, Any, TextIO
 
 from pydantic import BaseModel, Field, NonNegativeInt
 
-from deepbots_cli.errors import RunError
+from deepbots_cli.errors import RunError, StorageError
 from deepbots_cli.files import read_at_most, unwritable_message
 from deepbots_cli.learning.generations import Generations
 from deepbots_cli.program.task import Solved
@@ -63,7 +63,7 @@ class EpisodeLog:
                 self._stream.write(f"#{json.dumps({'t_start': time.time(), 'env_id': self._scenario})}\n")
                 self._rows.writeheader()
         except OSError as error:
-            raise RunError(unwritable_message(self._path, error)) from error
+            raise StorageError(unwritable_message(self._path, error)) from error
 
     def write(self, episode: Episode, statistics: Statistics, stage: str | None = None, drawn: Mapping[str, Any] | None = None) -> None:
         if self._stream is None:

@@ -30,7 +30,7 @@ from deepbots_cli import api, engine_kinds
 from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError, RunError, UsageError
+from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
 from deepbots_cli.learning.order import Measure, Rank, measure_of, rank
 from deepbots_cli.learning.report import GroupProgressReporter, GroupReporter, Reporter, TrainingProgress
 from deepbots_cli.learning.run import (
@@ -386,7 +386,7 @@ def _train_seeds(
         with suppress(KeyboardInterrupt):  # before a training handles it itself, or a second one
             for seed, outcome in zip(left, found, strict=False):
                 if isinstance(outcome, DeepbotsError):
-                    if not group.runs:  # nothing can be trained with these settings, or written there
+                    if not group.runs or isinstance(outcome, StorageError):  # nothing can be trained so, or written there
                         raise outcome
                     failed[seed] = outcome.full_message
                 elif outcome is not None:

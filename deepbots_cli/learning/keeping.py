@@ -14,7 +14,7 @@ from shlex import quote
 from typing import Any
 
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.evaluation import play_models
@@ -116,7 +116,7 @@ def keep(
             is_same = _is_best(run, name)
             earlier = None if is_same else _put_first(run, name)
         except OSError as error:
-            raise RunError(unwritable_message(run.model("best"), error)) from error
+            raise StorageError(unwritable_message(run.model("best"), error)) from error
         if is_same:  # what is known of this model stays: its evaluations, and its confirmation
             run.update(updated=run.record.updated, result=result.model_copy(update={"best": best}))
         else:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState, read_arrays, write_arrays
 from deepbots_cli.plugins import import_attribute
@@ -300,7 +300,7 @@ class ArrayLearner(Learner):
         return self.fragment.observations, self.fragment.actions, None
 
     def save(self, path: Path) -> None:
-        with atomic_write(path, RunError) as draft:
+        with atomic_write(path, StorageError) as draft:
             write_arrays(draft, self.weights(), data=json.dumps({"num_timesteps": self.steps}))
 
     def load(self, path: Path) -> None:

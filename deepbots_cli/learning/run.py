@@ -42,7 +42,7 @@ from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError, RunError, UsageError
+from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
 from deepbots_cli.files import atomic_write, unwritable_message
 from deepbots_cli.learning.curriculum import CompletedStage
 from deepbots_cli.learning.episodes import SolvedAt
@@ -287,7 +287,7 @@ def read_json(path: Path, model: type[M], limit: int) -> M:
 
 
 def write_text(path: Path, text: str) -> None:
-    with atomic_write(path, RunError) as draft:
+    with atomic_write(path, StorageError) as draft:
         draft.write_bytes(text.encode())
 
 
@@ -364,7 +364,7 @@ class Run:
         except BaseException as error:  # also Ctrl-C: half a directory is no run, and would stand in the way of the next one
             shutil.rmtree(path, ignore_errors=True)
             if isinstance(error, OSError):
-                raise RunError(unwritable_message(path, error)) from error
+                raise StorageError(unwritable_message(path, error)) from error
             raise
 
     @staticmethod
@@ -590,7 +590,7 @@ def write_numbered(folder: Path, text: str) -> Path:
             except FileExistsError:
                 number += 1  # another process was faster
     except OSError as error:
-        raise RunError(unwritable_message(path, error)) from error
+        raise StorageError(unwritable_message(path, error)) from error
     try:
         write_text(path, text)
     except RunError:

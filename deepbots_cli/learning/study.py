@@ -282,6 +282,12 @@ class Study:
         write_text(self.path / STUDY_RECORD_NAME, changed.record.model_dump_json(indent=2) + "\n")
         return changed
 
+    @property
+    def journal_bytes(self) -> int:
+        """The size of its journal; 0 where there is none."""
+        path = self.path / JOURNAL_NAME
+        return path.stat().st_size if path.is_file() else 0
+
     def trial_folder(self, number: int) -> Path:
         return self.path / f"trial-{number}"
 

@@ -21,7 +21,7 @@ import deepbots_cli
 from deepbots_cli import api, engine_kinds
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError, MissingExtraError, PluginError, RunError, UsageError
+from deepbots_cli.errors import DeepbotsError, MissingExtraError, PluginError, RunError, StorageError, UsageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning import learner as learners
 from deepbots_cli.learning import shards
@@ -530,7 +530,7 @@ def _check_teacher(teacher: Teacher, program: Program, stage: str | None, build:
 
 def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoints) -> DeepbotsError:
     """The error that ended a training, with what is kept of it and how to use that."""
-    known = RunError(unwritable_message(Path(error.filename or run.path), error)) if isinstance(error, OSError) else error
+    known = StorageError(unwritable_message(Path(error.filename or run.path), error)) if isinstance(error, OSError) else error
     if checkpoints.description and (isinstance(known, PluginError) or isinstance(known.__cause__ or error, OSError)):
         known.add_note(f"{checkpoints.description}; continue from there with: deepbots train --resume {quote(str(run.path))}")
     elif checkpoints.has_learned:  # going on would fail again, to the bit

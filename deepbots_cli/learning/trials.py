@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError, RunError, UsageError
+from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.group import Group, resume_group, train_group
@@ -238,7 +238,7 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
     Evaluations of the trainings go to the journal. Reports are `TrialProgress`.
 
     Raises:
-        RunError: The study is damaged.
+        RunError: The study is damaged, or a file cannot be written.
     """
     study, number, permissions = Study.open(taken.study), taken.number, taken.permissions
     record, folder, journal = study.record, study.trial_folder(number), study.connect()
@@ -255,6 +255,8 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
             compiled = study.compiled(overrides, permissions)
             options |= {"total_timesteps": record.total_timesteps, "engine": compiled.program.engine or record.engine}
             trained = train_group(compiled, record.seeds, group=folder, command=record.training_command(overrides), **options)
+    except StorageError:  # the trial stays as it is, and can be continued
+        raise
     except DeepbotsError as error:  # values that do not go together
         return TrialResult("failed", reason=error.full_message)
     stop_requested = any(result.stop_requested for result in trained.trained)
@@ -270,6 +272,8 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
         _evaluate(group, permissions)
     except KeyboardInterrupt:
         return TrialResult("running", stop_requested=True)
+    except StorageError:
+        raise
     except DeepbotsError as error:
         return TrialResult("failed", reason=error.full_message, stop_requested=stop_requested)
     follower.finish()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -93,6 +94,32 @@ def test_a_study_whose_driver_was_killed_continues_to_the_same_trials(file: Path
     assert results(study) == results(whole)
     assert weights(study) == weights(whole)
     assert len(RunRecord.read(study.path / "trial-1" / "seed-0").resumed_at) == 1
+
+
+def test_a_full_disk_ends_tune_with_an_error_and_the_trial_continues_later(
+    file: Path, whole: Study, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It ended with exit code 0, and the trial was failed for ever."""
+    study = made(file, tmp_path / "full", prune=False)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))  # which is enough for the journal, and not for a model
+    try:
+        assert main(["tune", "--resume", str(study.path), "--quiet"]) == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert "cannot be written: file too large" in capsys.readouterr().err
+    assert [trial.state for trial in study.trials()] == ["running"]
+    assert run_study(study)
+    assert results(study) == results(whole)
+
+
+def test_a_journal_that_is_a_pipe_is_refused_at_once(file: Path, tmp_path: Path) -> None:
+    """`tune --resume` waited for ever."""
+    study = made(file, tmp_path / "pipe")
+    (study.path / "journal.log").unlink()
+    os.mkfifo(study.path / "journal.log")
+    with pytest.raises(RunError, match=r"journal\.log is not a regular file"):
+        study.connect()
 
 
 @pytest.mark.slow

@@ -43,6 +43,8 @@ from deepbots_cli.learning.trials import run_study
 
 _MAX_SHOWN = 10
 """Trials in the table; --json has all."""
+_LONG_JOURNAL_MB = 5
+"""Reading this much takes a second."""
 
 
 def command(
@@ -128,6 +130,8 @@ def command(
                 " --workers, --cluster, --quiet, --allow-code, --json"
             )
         study = Study.open(resume)
+        if not quiet and (megabytes := study.journal_bytes // 1_000_000) > _LONG_JOURNAL_MB:
+            terminal.note(f"reading the trials of {study.path} ({megabytes} MB) ...")
         if apply:
             _apply(study, scenario or study.record.source, permissions, as_json=as_json)
             return

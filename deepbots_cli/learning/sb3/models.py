@@ -23,7 +23,7 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import is_json_serializable, save_to_zip_file
 
-from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.learner import Initialization
 
@@ -75,7 +75,7 @@ def save(path: Path, model: BaseAlgorithm) -> None:
     # In memory first: where a disk is full, torch's own writer ends in an error that does not say so.
     content = io.BytesIO()
     save_to_zip_file(content, data, model.get_parameters(), dict(_variables(model)))
-    with atomic_write(path, RunError) as draft, draft.open("wb") as stream:
+    with atomic_write(path, StorageError) as draft, draft.open("wb") as stream:
         stream.write(content.getbuffer())
         stream.flush()
         os.fsync(stream.fileno())  # for a power cut
