@@ -44,6 +44,8 @@ _MAX_STARTS, _MAX_WITHOUT_EFFECT = 6, 2  # drawn values in a figure
 _MAX_TICKS = 6  # of an axis whose numbers may be long
 _WIDTH, _WIDE_WIDTH = 5.0, 8.0  # inches
 _MIN_CLIMB = 0.25  # of its longer side; a trajectory that climbs more is also drawn from the side
+_MIN_WIDTH = 0.1  # of its longer side; of a trajectory that is narrower, the longer side is drawn over time
+_TIME = -1  # in the place of the number of an axis
 
 
 def new_figure(theme: str, height: float, columns: int = 1, rows: int = 1, width: float = _WIDTH) -> tuple[Figure, Any]:
@@ -168,7 +170,7 @@ def starts(episodes: Sequence[Episode], effects: DrawnEffects, theme: str, *, su
 def trajectories(
     shown: Sequence[ReportEpisode], moving: Moving, world: WorldModel, fixed: Sequence[Sequence[Triple]], theme: str
 ) -> Figure:
-    """Trajectories of the parts that move, from above, and from the side where they climb.
+    """Trajectories of the parts that move, from above, and from the side where they climb; along a line, over time.
 
     The first part is drawn as a line, others and moving targets in dots, a target that stands still as a star. `fixed` are the outlines of
     objects that stand still.
@@ -176,36 +178,60 @@ def trajectories(
     tracks = [each.positions[part] for each in shown for part in moving.parts if part in each.positions]
     spans = np.max([np.nanmax(track, axis=0) - np.nanmin(track, axis=0) for track in tracks], axis=0)
     side = int(spans[1] > spans[0])  # the horizontal axis that is seen from the side
-    planes = [(0, 1)] + [(side, 2)] * bool(spans[2] > _MIN_CLIMB * max(spans[0], spans[1]))
     targets = [each.positions[part] for each in shown for part in moving.targets if part in each.positions]
-    limits = [_limits(np.concatenate(tracks + targets), plane, world) for plane in planes]
+    climbs = bool(spans[2] > _MIN_CLIMB * spans[side])
+    if not climbs and spans[1 - side] < _MIN_WIDTH * spans[side]:
+        return _over_time(shown, moving, side, world.timestep, theme)
+    planes = [(0, 1)] + [(side, 2)] * climbs
+    limits = [_limits(np.concatenate(tracks + targets), plane, world, fixed) for plane in planes]
     width = (_WIDE_WIDTH - 1.0) / len(planes)
     height = max(width * (high[1] - low[1]) / (high[0] - low[0]) for low, high in limits)
     figure, (panels,) = new_figure(theme, min(6.0, max(1.8, 1.3 + height)), columns=len(planes), width=_WIDE_WIDTH)
-    ground, text, grid = THEMES[theme]
     for panel, plane, (low, high) in zip(panels, planes, limits, strict=True):
         if plane == (0, 1):
             _draw_surroundings(panel, world, fixed, theme)
-        labeled = [each for each in shown if each.label]
-        for each in [*(each for each in shown if not each.label), *labeled]:
-            _draw_episode(panel, plane, each, moving, COLORS[labeled.index(each) if each.label else 6], theme)
+        _draw_episodes(panel, plane, shown, moving, world.timestep, theme)
         panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         panel.locator_params(axis="x", nbins=_MAX_TICKS)
         style_panel(panel, "", theme, legend=False, axes=(f"{'xyz'[plane[0]]}, m", f"{'xyz'[plane[1]]}, m"))
-    handles, titles = panels[0].get_legend_handles_labels()
+    return _with_titles(figure, panels[0], theme)
+
+
+def _over_time(shown: Sequence[ReportEpisode], moving: Moving, axis: int, timestep: float, theme: str) -> Figure:
+    """One coordinate of the parts that move, over time: from above, a motion along a line is a line."""
+    figure, ((panel,),) = new_figure(theme, 3.0, width=_WIDE_WIDTH)
+    _draw_episodes(panel, (_TIME, axis), shown, moving, timestep, theme)
+    style_panel(panel, "", theme, legend=False, axes=("time, s", f"{'xyz'[axis]}, m"))
+    return _with_titles(figure, panel, theme)
+
+
+def _with_titles(figure: Figure, panel: Any, theme: str) -> Figure:
+    """The figure with the titles of its episodes below."""
+    ground, text, grid = THEMES[theme]
+    handles, titles = panel.get_legend_handles_labels()
     box = figure.legend(handles, titles, loc="outside lower center", fontsize=8, labelcolor=text, facecolor=ground, edgecolor=grid)
     for entry in box.get_texts():
         entry.set_parse_math(False)
     return figure
 
 
-def _draw_episode(panel: Any, plane: tuple[int, int], shown: ReportEpisode, moving: Moving, color: str, theme: str) -> None:
+def _draw_episodes(panel: Any, plane: tuple[int, int], shown: Sequence[ReportEpisode], moving: Moving, timestep: float, theme: str) -> None:
+    """All episodes, those with a label above the others."""
+    labeled = [each for each in shown if each.label]
+    for each in [*(each for each in shown if not each.label), *labeled]:
+        _draw_episode(panel, plane, each, moving, COLORS[labeled.index(each) if each.label else 6], timestep, theme)
+
+
+def _draw_episode(
+    panel: Any, plane: tuple[int, int], shown: ReportEpisode, moving: Moving, color: str, timestep: float, theme: str
+) -> None:
     ground = THEMES[theme][0]
     width, alpha = (2.0, 1.0) if shown.label else (0.9, 0.7)
     for part in [*moving.parts, *moving.targets]:
         if part not in shown.positions:
             continue
-        xs, ys = shown.positions[part].T[list(plane)]
+        points = shown.positions[part]
+        xs, ys = (timestep * np.arange(len(points)) if axis == _TIME else points[:, axis] for axis in plane)
         is_target, is_first = part in moving.targets, _base(part) == _base(moving.parts[0])
         if is_target:
             panel.plot(xs[-1:], ys[-1:], "*", color=color, markersize=9, alpha=alpha, markeredgecolor=ground, markeredgewidth=0.5)
@@ -236,11 +262,19 @@ def _draw_surroundings(panel: Any, world: WorldModel, fixed: Sequence[Sequence[T
         panel.fill([x for x, _, _ in outline], [y for _, y, _ in outline], color=grid, alpha=0.5, linewidth=0)
 
 
-def _limits(points: Any, plane: tuple[int, int], world: WorldModel) -> tuple[Any, Any]:
-    """What is seen: the surroundings of points (n, 3), or the arena, from above, where they take more than a third of it."""
+def _limits(points: Any, plane: tuple[int, int], world: WorldModel, fixed: Sequence[Sequence[Triple]]) -> tuple[Any, Any]:
+    """What is seen: the surroundings of points (n, 3), with objects that reach into them.
+
+    It is the arena, from above, where the points take more than a third of it.
+    """
     low, high = np.nanmin(points, axis=0)[list(plane)], np.nanmax(points, axis=0)[list(plane)]
     if plane == (0, 1) and world.arena is not None and ((high - low) > np.array(world.arena.size) / 3).any():
         low, high = np.minimum(low, -np.array(world.arena.size) / 2), np.maximum(high, np.array(world.arena.size) / 2)
+    if plane == (0, 1):
+        for outline in map(np.array, fixed):
+            start, end = outline[:, :2].min(axis=0), outline[:, :2].max(axis=0)
+            if (end - start).max() <= (high - low).max() and (start <= high).all() and (end >= low).all():
+                low, high = np.minimum(low, start), np.maximum(high, end)
     margin = np.maximum(0.05 * (high - low).max(), (0.15 * (high - low).max() + 0.02 - (high - low)) / 2)
     return low - margin, high + margin
 

@@ -48,11 +48,19 @@ class PlottedField(NamedTuple):
     unit: str
     options: tuple[str, ...] = ()
 
+    @property
+    def shown_unit(self) -> tuple[str, float]:
+        """The unit that a person sees, and how many of it are one `unit`: angles are in degrees, as in scenarios."""
+        if self.unit in ("rad", "rad/s"):
+            return self.unit.replace("rad", "deg"), math.degrees(1.0)
+        return "" if self.unit == "1" else self.unit, 1.0
+
     def text(self, value: float) -> str:
         """The value in words: the name of an option, or a number with its unit."""
         if self.options:
             return self.options[round(value)]
-        return f"{value:.3g}{'' if self.unit in ('', '1') else ' ' + self.unit}"
+        unit, scale = self.shown_unit
+        return f"{scale * value:.3g} {unit}".strip()
 
 
 class SensorRays(NamedTuple):

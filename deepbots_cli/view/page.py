@@ -472,10 +472,11 @@ class Page:
                 group = gui.add_button_group(field.name, field.options)
                 group.on_click(lambda event, f=field: self._command(f.name, f.options.index(event.target.value)))
             else:
-                label = field.name if field.unit in ("", "1") else f"{field.name} ({field.unit})"
-                low, high, value = field.low, field.high, hand.base_values[field.name]
+                unit, scale = field.shown_unit
+                label = f"{field.name} ({unit})" if unit else field.name
+                low, high, value = (scale * each for each in (field.low, field.high, hand.base_values[field.name]))
                 slider = gui.add_slider(label, min=low, max=high, step=(high - low) / 200, initial_value=value)
-                slider.on_update(lambda event, f=field: self._command(f.name, event.target.value))
+                slider.on_update(lambda event, f=field, scale=scale: self._command(f.name, event.target.value / scale))
         for name, bindings in list(hand.bindings.items())[:2]:
             for keys, sign in ((bindings[0].positive_keys, "+"), (bindings[0].negative_keys, "−")):
                 gui.add_button(f"press and hold: {name} {sign}").on_hold(

@@ -116,11 +116,37 @@ def test_the_script_that_taught_the_policy_is_named_with_its_score_and_drawn(run
 def test_a_closed_line_is_drawn_closed(run):
     report = Report.read(run)
     report.repeat_episodes(report.choose_episodes(3)[:1], lambda done, of: None, clips=False)
+    (episode,) = report.episodes
+    episode.positions = {("cart", "body"): np.array([[0.0, 0.0, 0.0], [0.3, 0.2, 0.0]])}
     world = api.compile(api.load("line_follower")).program.world
     (panel,) = trajectories(report.episodes, report.moving, world, (), "light").axes
     drawn = [line.get_xydata().tolist() for line in panel.lines]
     (points,) = (line.points for line in world.lines)
     assert [list(point) for point in (*points, points[0])] in drawn
+
+
+def test_a_motion_along_a_line_is_drawn_over_time(run):
+    """That of a cart was a zigzag in 7 mm."""
+    report = Report.read(run)
+    report.repeat_episodes(report.choose_episodes(3)[:1], lambda done, of: None, clips=False)
+    (episode,) = report.episodes
+    world = episode.run.run.program.world
+    episode.positions = {("cart", "body"): np.array([[0.0, 0.0, 0.1], [0.3, 0.001, 0.1], [0.1, 0.002, 0.1]])}
+    (panel,) = trajectories(report.episodes, report.moving, world, (), "light").axes
+    assert (panel.get_xlabel(), panel.get_ylabel()) == ("time, s", "x, m")
+    assert [world.timestep, 0.3] in panel.lines[0].get_xydata().tolist()
+
+
+def test_an_object_that_reaches_into_the_picture_is_whole(run):
+    """A parking bay was cut off."""
+    report = Report.read(run)
+    report.repeat_episodes(report.choose_episodes(3)[:1], lambda done, of: None, clips=False)
+    (episode,) = report.episodes
+    episode.positions = {("cart", "body"): np.array([[0.0, 0.0, 0.1], [0.1, 0.1, 0.1]])}
+    bay = [(0.09, 0.05, 0.0), (0.18, 0.05, 0.0), (0.18, 0.1, 0.0), (0.09, 0.1, 0.0)]
+    (panel,) = trajectories(report.episodes, report.moving, episode.run.run.program.world, [bay], "light").axes
+    assert panel.get_xlim()[0] < 0.0
+    assert panel.get_xlim()[1] > 0.18
 
 
 def test_a_trajectory_that_climbs_is_drawn_from_the_side_too(run):
