@@ -41,12 +41,12 @@ def print_error(text: str) -> None:
 
 
 @contextmanager
-def transient_line(text: str) -> Iterator[None]:
-    """A line on stderr, on a terminal only, which disappears at the end of the block."""
+def transient_line(text: str) -> Iterator[Callable[[str], None]]:
+    """A line on stderr, on a terminal only, which disappears at the end of the block. Yields a function that rewrites it."""
     line = LiveLine()
     line.show(text)
     try:
-        yield
+        yield line.show
     finally:
         line.clear()
 

@@ -35,6 +35,7 @@ _GIF_FRAME_RATE, _MP4_FRAME_RATE, _PAGE_FRAME_RATE = 12.5, 30.0, 20.0  # picture
 _GIF_COLORS = 96
 _GIF_SHADE = 8  # of 256: shades that are closer count as one color
 _SUPERSAMPLING = 2  # pictures are drawn so many times as large, and reduced
+_FOLLOWED_ROOM = 1.2  # times the reach of a robot from its origin, on each side of it
 _LABEL_SPACING_PX = 18  # px between two labels
 _MIN_HALF_SIDE_M = 0.02  # m; half the side of the smallest view from above
 _MARGIN_ABOVE = 1.15  # the room around a path that is seen from above, as a factor
@@ -47,12 +48,16 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """From where a picture is taken: `eye` and `target` (m) are None for a view that holds the scene."""
+    """From where a picture is taken: `eye` and `target` (m) are None for a view that shows the whole scene.
+
+    With `follow`, the name of a robot, the camera moves with this robot and shows what is near it.
+    """
 
     width: int = 640
     height: int = 480
     eye: Triple | None = None
     target: Triple | None = None
+    follow: str | None = None
     samples: int = 2
     """The pictures of a clip are drawn so many times as large, and reduced."""
 
@@ -62,6 +67,24 @@ class Viewpoint:
             return usual
         target = self.target or usual.target
         return replace(usual, eye=self.eye or frames.add(target, frames.subtract(usual.eye, usual.target)), target=target)
+
+    def now(self, player: Player, usual: View) -> View:
+        """The view of the newest frame, given the one of the whole scene.
+
+        Raises:
+            UsageError: There is no robot to follow of this name.
+        """
+        if self.follow is None:
+            return self.view(usual)
+        robots = {robot.name: robot for robot in player.env.world.robots}
+        if self.follow not in robots:
+            raise UsageError(f"--follow: there is no robot '{self.follow}'; there is {', '.join(robots)}")
+        model = robots[self.follow].model
+        middle = player.frame.links[self.follow, model.root][0]
+        reach = _FOLLOWED_ROOM * max(abs(side) for corner in robot_bounds(model) for side in corner)
+        around = tuple((side - reach, side + reach) for side in middle)
+        low, high = zip(*around, strict=True)
+        return view_around([(low, high)], self.width, self.height)
 
 
 def check_target(path: Path, suffixes: Sequence[str], *, force: bool) -> None:
@@ -100,7 +123,7 @@ def render_picture(
     shown = PaintedPath.of(player, path) if path else None
     usual = overview(player.program, shot.width, shot.height)
     usual = shown.view(player.env.world, shot) if shown else _on_robots(player, shot) if labels else usual
-    view = replace(shot.view(usual), width=_SUPERSAMPLING * shot.width, height=_SUPERSAMPLING * shot.height, samples=1)
+    view = replace(shot.now(player, usual), width=_SUPERSAMPLING * shot.width, height=_SUPERSAMPLING * shot.height, samples=1)
     image = Image.fromarray(player.render(view))
     draw, project = ImageDraw.Draw(image, "RGBA"), projection(view)
     if rays:
@@ -314,15 +337,18 @@ def write_clip(
     seconds: float | None = None,
     speed: float = 1.0,
     rate: float = _MP4_FRAME_RATE,
+    on_frame: Callable[[WorldFrame], object] = lambda frame: None,
 ) -> WorldFrame:
     """Write an episode, or its first `seconds`, as MP4, GIF or an offline page, by the suffix of `path`; the last frame.
 
     Args:
         speed: Seconds of the episode per second of the clip.
         rate: The largest number of pictures per second of an MP4.
+        on_frame: Is called before each picture of an MP4 or a GIF.
 
     Raises:
         EngineError: The engine cannot draw.
+        UsageError: There is no robot to follow.
     """
     steps = None if seconds is None else max(1, round(seconds / player.program.period))
     shown = player.episode(seed, episode, steps)
@@ -330,20 +356,23 @@ def write_clip(
         if path.suffix.lower() == ".html":
             _write_page(player, draft, shown, speed)
         elif path.suffix.lower() == ".gif":
-            write_gif(draft, *_pictures(player, shot, shown, speed, _GIF_FRAME_RATE))
+            write_gif(draft, *_pictures(player, shot, shown, speed, _GIF_FRAME_RATE, on_frame))
         else:
-            _write_mp4(draft, *_pictures(player, shot, shown, speed, rate))
+            _write_mp4(draft, *_pictures(player, shot, shown, speed, rate, on_frame))
     return player.frame
 
 
-def _pictures(player: Player, shot: Viewpoint, shown: Iterable[WorldFrame], speed: float, rate: float) -> tuple[Iterator[Any], float]:
+def _pictures(
+    player: Player, shot: Viewpoint, shown: Iterable[WorldFrame], speed: float, rate: float, on_frame: Callable[[WorldFrame], object]
+) -> tuple[Iterator[Any], float]:
     """Pictures at most `rate` times a second, and how many there are in a second: every so many steps, at most each."""
     every = max(1, math.ceil(speed / player.program.period / rate - 1e-9))
 
     def taken() -> Iterator[Any]:
         for frame in shown:
             if frame.step % every == 0 or frame.ended_by is not None:
-                view = shot.view(player.view(shot.width, shot.height))
+                on_frame(frame)
+                view = shot.now(player, player.view(shot.width, shot.height))
                 yield player.render(replace(view, width=shot.width, height=shot.height, samples=shot.samples))
 
     return taken(), speed / player.program.period / every

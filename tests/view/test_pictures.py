@@ -11,6 +11,7 @@ from PIL import Image
 
 from deepbots_cli import frames
 from deepbots_cli.cli import main
+from deepbots_cli.errors import UsageError
 from deepbots_cli.footprint import bounds_of_shape
 from deepbots_cli.port import View
 from deepbots_cli.view.episodes import Player, Showing
@@ -73,6 +74,23 @@ def test_labels_and_rays_are_painted():
         assert np.abs(np.asarray(shot).astype(int) - np.asarray(plain)).max() > 60
 
 
+def test_a_followed_robot_stays_in_the_middle_and_large(tmp_path):
+    shot = Viewpoint(160, 120, follow="epuck")
+    with closing(Player(Showing("find_ball").open(), "around")) as player:
+        eyes, robot = [], player.env.world.robots[0]
+        write_clip(
+            player, tmp_path / "clip.gif", shot, seed=0, episode=0, seconds=3.0,
+            on_frame=lambda frame: eyes.append((frame.links[robot.name, robot.model.root][0], shot.now(player, player.view(160, 120)))),
+        )  # fmt: skip
+        whole = player.view(160, 120)
+    (first, seen), (last, seen_last) = eyes[0], eyes[-1]
+    assert np.linalg.norm(np.subtract(first, last)) > 0.05
+    assert np.subtract(seen_last.eye, last) == pytest.approx(np.subtract(seen.eye, first), abs=1e-3)
+    assert np.linalg.norm(np.subtract(seen.eye, first)) < 0.7 * np.linalg.norm(np.subtract(whole.eye, whole.target))
+    with pytest.raises(UsageError, match=r"--follow: there is no robot 'dog'; there is epuck"):
+        Viewpoint(follow="dog").now(player, whole)
+
+
 @pytest.mark.parametrize("suffix", [".gif", ".mp4"])
 def test_a_clip_can_be_read_and_moves(tmp_path, suffix):
     out = tmp_path / f"clip{suffix}"
@@ -129,6 +147,7 @@ def test_the_commands_write_their_files_and_refuse_what_they_cannot(tmp_path, ca
         (["render", "cartpole", "-o", "none/a.gif"], "no directory"),
         (["render", "cartpole", "--size", "9x9"], "is not a size"),
         (["render", "cartpole", "--from", "1,2"], "is not a point"),
+        (["render", "cartpole", "--from", "1,2,1", "--follow", "cart"], "--follow moves the camera; leave out --from and --at"),
         (["render", "cartpole", "--from", "nan,0,0"], "no number"),
         (["render", "find_ball", "--driver", "nobody", "-o", "b.gif"], "there is no driver 'nobody'"),
         (["render", "cartpole", "--driver", "policy", "-o", "b.gif"], "only a run has a policy"),

@@ -63,10 +63,12 @@ _SUFFIXES_OF: Mapping[str, Sequence[str]] = {
     "--size": _DRAWN,
     "--from": _DRAWN,
     "--at": _DRAWN,
+    "--follow": _DRAWN,
     "--episodes": (*VIDEOS, PAGE, RECORDING_SUFFIX),
     "--start": (*_DRAWN, PAGE),
 }
 """The files that an option is for; the others are for all."""
+_DEFAULT_SIZES = {PICTURE: (640, 480)}
 MAX_SIDE = 4096
 MAX_EPISODES = 10_000
 MAX_FILMS = 10
@@ -138,6 +140,7 @@ def command(
     ] = None,
     eye: Annotated[Any, option("--from X,Y,Z", "Camera position in m; by default it sees the whole scene.", _CAMERA, parser=point)] = None,
     target: Annotated[Any, option("--at X,Y,Z", "Point in m that the camera looks at.", _CAMERA, parser=point)] = None,
+    follow: Annotated[str | None, option("--follow ROBOT", "Move the camera with this robot, and show what is near it.", _CAMERA)] = None,
     overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
@@ -166,6 +169,7 @@ def command(
       deepbots render find_ball --path --driver around -o path.png
       deepbots render find_ball --from 0,-1.5,1 --at 0,0,0 --rays
       deepbots render quadruped --labels --size 960x640 -o links.png
+      deepbots render quadruped --follow dog -o walk.mp4
       deepbots render quadruped --seconds 10 -o quadruped.html
       deepbots render runs/find_ball-0-1 --episodes 5 -o five.mcap
       deepbots render package://pybullet_data/husky/husky.urdf -o husky.png
@@ -181,12 +185,11 @@ def command(
     """
     file = output or Path(f"{Path(shown).stem}{PICTURE}")
     given: dict[str, Any] = {"--labels": labels, "--rays": rays, "--path": path, "--steps": steps, "--seconds": seconds, "--speed": speed}
-    given |= {"--size": size, "--from": eye, "--at": target, "--episodes": episodes, "--start": start}
+    given |= {"--size": size, "--from": eye, "--at": target, "--follow": follow, "--episodes": episodes, "--start": start}
     kind = _checked_kind(file, [name for name, value in given.items() if value])
     from deepbots_cli.view import pictures
 
-    width, height = size or ((640, 480) if kind == PICTURE else (480, 320))
-    shot = pictures.Viewpoint(width, height, eye, target)
+    shot = pictures.Viewpoint(*(size or _DEFAULT_SIZES.get(kind, (480, 320))), eye, target, follow)
     if is_robot(shown):
         of_episodes = [value for name, value in given.items() if name not in ("--size", "--from", "--at")]
         if kind != PICTURE or any((*of_episodes, driver, seed, episode, overrides, case, stage)):
@@ -234,8 +237,14 @@ def command(
                 image.save(draft, "PNG")
             ends = [trace[-1]]
         else:
-            play = partial(pictures.write_clip, seed=wanted.seed, seconds=seconds, speed=speed or 1.0)
-            with terminal.transient_line("running the episode ..."):
+            with terminal.transient_line("running the episode ...") as show:
+                play = partial(
+                    pictures.write_clip,
+                    seed=wanted.seed,
+                    seconds=seconds,
+                    speed=speed or 1.0,
+                    on_frame=lambda frame: show(f"{frame.time:.1f} s of the episode are drawn ..."),
+                )
                 ends = [play(world, made, shot, episode=number) for number, made in zip(wanted.numbers, files, strict=True)]
     rows = records.recorded_rows(zip(wanted.numbers, ends, strict=True))
     per_file = [rows] if len(files) == 1 else [[row] for row in rows]
@@ -280,7 +289,7 @@ def _checked_kind(file: Path, given: Sequence[str]) -> str:
     """The suffix of the file.
 
     Raises:
-        UsageError: Nothing is made with this suffix, or an option that is given is for others; lists them.
+        UsageError: Nothing is made with this suffix, or an option that is given is for others; lists them. Or two exclude each other.
     """
     kind = file.suffix.lower()
     if kind not in SUFFIXES:
@@ -289,6 +298,8 @@ def _checked_kind(file: Path, given: Sequence[str]) -> str:
     if wrong:
         reasons = [f"{name} is for {', '.join(_SUFFIXES_OF[name])}" for name in wrong]
         raise UsageError(f"{file}: {'; '.join(reasons)}; leave {'it' if len(wrong) == 1 else 'them'} out, or name another file")
+    if "--follow" in given and {"--from", "--at"}.intersection(given):
+        raise UsageError("--follow moves the camera; leave out --from and --at")
     return kind
 
 
