@@ -175,7 +175,7 @@ def _program(namespace: Namespace) -> Program:
         reward=rewards,
         success=tuple(spec.termination.success),
         goal=goals.goal(rewards),
-        solved=solved(namespace),
+        solved=solved(namespace, limits, timestep),
         frame_stack=spec.agent.frame_stack,
         copies=each,
         scripts=scripts(namespace, action),

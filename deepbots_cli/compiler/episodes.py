@@ -480,7 +480,19 @@ def truncation(namespace: Namespace) -> Truncation:
     return Truncation(None if steps is None else int(steps), namespace.fixed(limits, "max_time"))
 
 
-def solved(namespace: Namespace) -> Solved | None:
+def success_help(limits: Truncation, timestep: float, instead: str, has_failures: bool) -> str:
+    """How to define a success of episodes of at most `limits` and a control step of `timestep` s, or to write `instead`."""
+    seconds = limits.max_time or (limits.max_steps or 0) * timestep
+    if has_failures and seconds:
+        lasting = f"success: {{lasted: time > {0.95 * seconds:.3g} s}}"
+        success = f"`{lasting}`, if an episode without a failure is a success, or another condition"
+    else:
+        success = "`success: {reached: CONDITION}`, with a condition such as `distance(cart, ball) < 10 cm`"
+    return f"under `termination`, write {success}; or require a return: `{instead}`"
+
+
+def solved(namespace: Namespace, limits: Truncation, timestep: float) -> Solved | None:
+    """When the training has solved the task, whose episodes end at `limits` and whose control step takes `timestep` s."""
     spec = namespace.scenario
     values = namespace.values
     if spec.solved is None:
@@ -489,7 +501,8 @@ def solved(namespace: Namespace) -> Solved | None:
     if metric == "mean_return":
         return Solved(episodes or 0, mean_return=threshold)
     if not (spec.termination.success or spec.goal or any(map(values.is_invalid, ("success", "termination", "goal")))):
-        help = "write `success: {reached: CONDITION}` under `termination`, or require a `mean_return`"
+        instead = f"solved: mean_return >= 100 over {episodes} episodes"
+        help = success_help(limits, timestep, instead, bool(spec.termination.failure))
         values.add("DB407", ("solved",), NO_SUCCESS_DEFINED, help)
     return Solved(episodes or 0, success_rate=threshold)
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
-from deepbots_cli.compiler.episodes import NO_SUCCESS_DEFINED
+from deepbots_cli.compiler.episodes import NO_SUCCESS_DEFINED, success_help
 from deepbots_cli.compiler.namespace import Namespace, NamespaceReader, SupervisorScope
 from deepbots_cli.compiler.policy import Decisions
 from deepbots_cli.compiler.values import ValueReader
@@ -47,10 +47,11 @@ from deepbots_cli.program.task import (
 )
 from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.fields import read_schedule, read_until
+from deepbots_cli.scenario.keys import listed
 from deepbots_cli.scenario.scenario import DiscreteAction, Expectation, Scenario
 from deepbots_cli.scenario.scenario import ScenarioTest as TestSpec
+from deepbots_cli.scenario.training import ALGORITHMS, Auto
 from deepbots_cli.scenario.training import ActionNoise as ActionNoiseSpec
-from deepbots_cli.scenario.training import Auto
 from deepbots_cli.scenario.training import Hindsight as HindsightSpec
 from deepbots_cli.scenario.training import Teacher as TeacherSpec
 from deepbots_cli.scenario.training import Training as TrainingSpec
@@ -163,10 +164,7 @@ def _check_algorithm(train: TrainingSpec, action: Action, namespace: Namespace) 
     elif "ranges" not in acts_by and intervals:
         headline, help = f"`{algorithm}` supports only discrete actions", "use PPO, or define one action with `choices`"
     elif acts_by == {"ranges"} and len(intervals) < len(action):
-        headline, help = (
-            f"{algorithm} supports only continuous actions",
-            "use PPO or DQN, or define the action as a range, such as `-1 .. 1`",
-        )
+        headline, help = f"{algorithm} supports only continuous actions", _for_choices(train, action, namespace)
     elif intervals and len(intervals) < len(action):
         headline, help = (
             "no algorithm supports choices and ranges in the same agent",
@@ -177,6 +175,16 @@ def _check_algorithm(train: TrainingSpec, action: Action, namespace: Namespace) 
     else:
         return
     namespace.values.add("DB612", ("train", "algorithm"), headline, help)
+
+
+def _for_choices(train: TrainingSpec, action: Action, namespace: Namespace) -> str:
+    """What to write for an algorithm of ranges where an action has choices: another algorithm, or ranges."""
+    written, also = entries_at(namespace.values.root, "train"), ""
+    foreign = [key for key in written if key not in type(train).model_fields and key in ALGORITHMS["PPO"].model_fields]
+    if foreign:
+        also = f", which uses {listed(foreign)}"
+    drive = next(part.name for part in action if not isinstance(part, ActionRange))
+    return f"to keep the choices, write `algorithm: PPO`{also}; to keep {train.algorithm}, make every action a range: `{drive}: -1 .. 1`"
 
 
 MAX_VARIANTS = 64
@@ -254,7 +262,8 @@ class _VariantCompiler:
             last = index == len(spec.curriculum) - 1
             found = read_until(stage.until)
             if found and found[0] == "success_rate" and not (spec.termination.success or spec.goal):
-                help = "write `success: {reached: CONDITION}` under `termination`, or require a `mean_return`"
+                until = f"until: mean_return >= 100 over {found[2]} episodes"
+                help = success_help(self._base.truncation, self._base.world.timestep, until, bool(spec.termination.failure))
                 values.add_at_key("DB407", (*path, "until"), NO_SUCCESS_DEFINED, help)
             if stage.until is None and not last:
                 help = "add `until: success_rate >= 0.7 over 40 episodes`"

@@ -18,6 +18,7 @@ from deepbots_cli.expressions import check, parser, syntax
 from deepbots_cli.expressions.dimensions import ACCELERATION, TORQUE, UNITS, Dimension
 from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import (
+    CORRECTED_LINE,
     Components,
     FindingReporter,
     Known,
@@ -252,6 +253,7 @@ class ValueReader:
             help: str | None = None,
             replacement: Replacement | None = None,
             names: Sequence[str] = (),
+            corrected: Callable[[str], str] | None = None,
         ) -> None:
             span, piece = text.part(start, end), text.text[start:end]
             if code == "DB502" and any(found.code == "DB106" and found.span == span for found in self.findings):
@@ -264,6 +266,9 @@ class ValueReader:
             word = self._word_replacement(text, piece) if code == "DB402" else None
             if word and not (help or "").startswith("did you mean"):
                 help, replacement = f"write the word `{word}`, or a value; {help}", Replacement(word, safe=False)
+            if corrected is not None:
+                key = f"{text.path[-1]}: " if text.path and isinstance(text.path[-1], str) else ""
+                help = (help or "").replace(CORRECTED_LINE, f"`{key}{corrected(text.text)}`")
             fix = Fix.replacing(span, piece, replacement.text, safe=replacement.safe) if replacement else None
             written = [("parameters", name) for name in names if self.is_present(("parameters", name))]
             labels = tuple(Label(self.span(path), f"`{path[1]}` is set here") for path in written)

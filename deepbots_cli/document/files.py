@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -25,7 +25,7 @@ MAX_BYTES = 1 << 20
 MAX_TOTAL_BYTES = 8 << 20
 """All files of a scenario together."""
 
-_MAX_LISTED = 24
+_MAX_LISTED, _MAX_SHOWN = 24, 5
 # How far a message looks for a file that is not where it should be.
 _MAX_DEPTH, _MAX_FOLDERS, _MAX_ENTRIES = 3, 200, 500
 _NOT_SEARCHED = frozenset({"runs", "node_modules", "__pycache__", "venv", "build", "dist"})
@@ -77,16 +77,28 @@ class UnusableFile:
         if self.nearest_name:
             meant = f"did you mean `{self.nearest_name}`, which is shipped with deepbots?"
             return meant if self.is_name else f"{meant} {self.path} does not exist"
+        if self.library is shipped.SCENARIOS:
+            return self._help_scenario()
         return f"paths are relative to the file that contains them; {self.path} does not exist"
 
+    def _help_scenario(self) -> str:
+        """What to write instead of a scenario that is not there."""
+        others = [file.name for file in _beside(self.path, (".yaml", ".yml")) if file != self.by][:_MAX_SHOWN]
+        there = f" ({', '.join(others)})" if others else ", or the name of a shipped one"
+        return f"remove this line, or write the path of a scenario that exists{there}; there is no {self.path}"
+
     def _help_outside(self) -> str:
-        it = "the file" if self.through_link else "it"
-        project = self.roots[0] if self.roots else None
-        help = f"move {it} into {project or 'the project'}, or allow its folder with --allow-path"
-        above = Path(os.path.commonpath((project, self.path))) if project else None
-        if above is None or above in (Path(above.anchor), Path.home()) or self.through_link:
-            return help
-        return f"{help}; an empty file deepbots.toml in {above} makes this folder one project"
+        project, folder = self.roots[0] if self.roots else None, display_path(self.path.parent)
+        if project is None or self.through_link:
+            return f"add `--allow-path {folder}` to the command, or copy the file into {project or 'the project'}"
+        copy = f"copy {folder} into {display_path(project)} and write `{self.path.parent.name}/{self.path.name}`"
+        above = Path(os.path.commonpath((project, self.path)))
+        if above in (Path(above.anchor), Path.home()):
+            return f"add `--allow-path {folder}` to the command; or {copy}"
+        marker = display_path(above / _PROJECT_MARKERS[0])
+        return (
+            f"create the empty file {marker}, which makes its folder one project; or add `--allow-path {folder}` to the command; or {copy}"
+        )
 
     def _elsewhere(self) -> str | None:
         """The path of a file of the same name in the project, as this file would write it."""
@@ -120,15 +132,20 @@ class UnusableFile:
         return (f"shipped {self.library.noun}s are {', '.join(names[:_MAX_LISTED])}{more}",)
 
 
+def _beside(path: Path, suffixes: Container[str]) -> list[Path]:
+    """The files beside `path` with one of the suffixes, in the order of their names."""
+    try:
+        return sorted(other for other in islice(path.parent.iterdir(), _MAX_ENTRIES) if other.suffix in suffixes)
+    except OSError:
+        return []
+
+
 def _similar(path: Path, by: Path | None) -> str | None:
     """The name of a file beside `path` that was probably meant, and is not the file that names it."""
-    try:
-        suffixes = (path.suffix,) if path.suffix else (".urdf", ".yaml")
-        by_stem = {other.stem: other.name for other in sorted(path.parent.iterdir()) if other.suffix in suffixes and other != by}
-        near = nearest_word(path.stem, by_stem)
-        return by_stem[near] if near else None
-    except OSError:
-        return None
+    suffixes = (path.suffix,) if path.suffix else (".urdf", ".yaml")
+    by_stem = {other.stem: other.name for other in _beside(path, suffixes) if other != by}
+    near = nearest_word(path.stem, by_stem)
+    return by_stem[near] if near else None
 
 
 def find_in(folder: Path, name: str, depth: int = _MAX_DEPTH) -> Path | None:

@@ -6,7 +6,7 @@ A finding stops the check of all nodes above its own, but not of its neighbors: 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from fractions import Fraction
 from functools import partial
@@ -161,6 +161,16 @@ def _require_rising(found: TypedRange, report: FindingReporter) -> None:
         raise report_at(report, "DB105", found, "a range whose low end is above its high end", "write the low end first")
 
 
+def _summed(tree: syntax.Node) -> Iterator[syntax.Node]:
+    """The sums that give the value of a text: the whole, its summands, and the left side of `when`."""
+    waiting = [tree]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, syntax.Binary) and node.operator in ("+", "-", "when"):
+            yield node
+            waiting += (node.left,) if node.operator == "when" else (node.left, node.right)
+
+
 class _Checker:
     """Visits one text; numbers its stateful calls and draws."""
 
@@ -169,12 +179,15 @@ class _Checker:
         self._report = report
         self._fault = partial(report_at, report)
         self._occurrences = 0
+        self._paid: frozenset[int] = frozenset()
         self.draws = 0
 
     def whole(self, tree: syntax.Node) -> Typed:
         """A whole text, or one end of a range."""
         if isinstance(tree, syntax.Range):
             raise self._fault("DB401", tree, "expected a single value, found a range")
+        if self._scope.context is Context.REWARD:
+            self._paid = frozenset(map(id, _summed(tree)))
         value = self.visit(tree)
         if value.type.has_group_components:
             help = "combine the values with `min`, `max`, `sum`, `norm`, `any` or `all`, because the number of copies varies"
@@ -448,7 +461,7 @@ class _Checker:
                 help = "divide by a unit first, because only a plain number can have any exponent"
                 raise self._fault("DB503", right, f"the exponent of {base.description} must be a fixed, simple number", help)
             case _:
-                return dimension_of((left, right), node, self._report)
+                return dimension_of((left, right), node, self._report, is_paid=id(node) in self._paid)
 
     def _warn_of_domain(self, operator: str, left: Typed, right: Typed, node: syntax.Binary) -> None:
         """DB405 for a divisor that can be zero, DB406 for a root of a value that can be negative."""

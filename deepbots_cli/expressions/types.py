@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from enum import Enum, IntEnum, StrEnum
 from typing import NamedTuple, Protocol
 
@@ -191,10 +191,15 @@ class Scope(Protocol):
         """Every name that `subject` knows, for suggestions."""
 
 
+CORRECTED_LINE = "{corrected line}"
+"""Stands in a help for the line to write, which only the reader of the text knows."""
+
+
 class FindingReporter(Protocol):
     """Takes a finding at the offsets `[start, end)` of the text.
 
-    `replacement` is the text to write there instead, `names` are the named values that probably cause the finding.
+    `replacement` is the text to write there instead, `names` are the named values that probably cause the finding. `corrected` makes
+    the whole right text from the text; the line with it stands in the help where `help` has `CORRECTED_LINE`.
     """
 
     def __call__(
@@ -206,6 +211,7 @@ class FindingReporter(Protocol):
         help: str | None = None,
         replacement: Replacement | None = None,
         names: Sequence[str] = (),
+        corrected: Callable[[str], str] | None = None,
     ) -> None: ...
 
 

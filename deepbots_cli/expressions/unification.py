@@ -14,6 +14,7 @@ from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import ANGLE, ANGULAR_VELOCITY, NUMBER, SPEED, TIME, Dimension, physical_quantity
 from deepbots_cli.expressions.types import (
+    CORRECTED_LINE,
     Components,
     Constant,
     FindingReporter,
@@ -36,6 +37,8 @@ Place = syntax.Node | Typed | TypedRange
 ANY_SHAPE: Components = ("*",)
 _PLAUSIBLE_LIMIT_FACTOR = 10  # times what is plausible: an engine's sums lose their digits
 _MAX_VALUE = 1e30  # of a dimension without a plausible limit
+WHEEL_RADIUS = "2 cm"
+"""Of the wheel in examples."""
 
 
 class StopChecking(Exception):  # noqa: N818 - no error: it carries nothing
@@ -50,9 +53,10 @@ def report_at(
     help: str | None = None,
     replacement: Replacement | None = None,
     names: Sequence[str] = (),
+    corrected: Callable[[str], str] | None = None,
 ) -> StopChecking:
     """Report a finding about a node; the caller raises the result."""
-    report(code, place.start, place.end, headline, help, replacement, names)
+    report(code, place.start, place.end, headline, help, replacement, names, corrected)
     return StopChecking()
 
 
@@ -96,8 +100,11 @@ def require_kind(values: Sequence[Typed], report: FindingReporter, *, boolean: b
     raise StopChecking
 
 
-def dimension_of(values: Sequence[Typed], place: Place, report: FindingReporter) -> Dimension:
-    """The one dimension of all values except bare zeros; DB502 or DB503 where they differ."""
+def dimension_of(values: Sequence[Typed], place: Place, report: FindingReporter, *, is_paid: bool = False) -> Dimension:
+    """The one dimension of all values except bare zeros; DB502 or DB503 where they differ.
+
+    The summands of a reward (`is_paid`) are plain numbers.
+    """
     counted = [value for value in values if not is_bare_zero(value)]
     if not counted:
         return NUMBER
@@ -107,7 +114,7 @@ def dimension_of(values: Sequence[Typed], place: Place, report: FindingReporter)
             continue
         if is_bare_number(value):
             is_sum = isinstance(place, syntax.Binary) and place.operator in ("+", "-")
-            raise missing_unit(value, first.type.dimension, report, is_sum=is_sum)
+            raise missing_unit(value, first.type.dimension, report, other=first if is_sum else None, is_paid=is_paid)
         help, names = _plain_names(first, value)
         help = help or "both sides need the same dimension; divide by a unit to get a plain number"
         headline = f"{first.type.description} is combined with {value.type.description}"
@@ -127,7 +134,8 @@ def require_dimension(
     if help is None:
         help, names = _remedy(value, dimension)
     headline = f"{what} must be {_expected(dimension, noun)}; this is {value.type.description}"
-    raise report_at(report, "DB503", value, headline, help, names=names)
+    corrected = divided_text(value, f" / {WHEEL_RADIUS} * rad") if CORRECTED_LINE in help else None
+    raise report_at(report, "DB503", value, headline, help, names=names, corrected=corrected)
 
 
 def _expected(dimension: Dimension, noun: str | None) -> str:
@@ -141,17 +149,19 @@ def missing_unit(
     unit: str | None = None,
     noun: str | None = None,
     *,
-    is_sum: bool = False,
+    other: Typed | None = None,
+    is_paid: bool = False,
 ) -> StopChecking:
     """DB502 for a bare number; it is probably in `unit` if it is at least 1, otherwise the dimension tells.
 
-    Both numbers of a range or of a draw have the unit behind the second. In a sum (`is_sum`) the other side may be meant as a plain number.
+    Both numbers of a range or of a draw have the unit behind the second. In a sum, the `other` side may be meant as a plain number; the
+    summands of a reward (`is_paid`) are.
     """
     ends: Sequence[Typed] = (value.low, value.high) if isinstance(value, TypedRange) else (value,)
     sign = ".."
     if isinstance(value, Invocation) and value.function in ("uniform", "normal"):
         ends, sign = value.args, ".." if value.function == "uniform" else "+-"
-    help, replacement = f"write its unit, as in `{dimension.example}`", None
+    help, replacement, corrected = f"write its unit, as in `{dimension.example}`", None, None
     constants = [end for end in ends if isinstance(end, Constant)]
     if len(constants) == len(ends):
         written = f" {sign} ".join(" ".join(map(_number_text, end.values)) for end in constants)
@@ -161,11 +171,14 @@ def missing_unit(
             units = ("deg",) if largest > 2 * math.pi else ("deg", "rad")
         help = "write its unit: " + " or ".join(f"`{written} {name}`" for name in units)
         if len(units) == 1:
-            replacement = Replacement(f"{written} {units[0]}", safe=units[0] == str(dimension) and not is_sum)
-        if is_sum:
-            help += f"; or make the other side a plain number: divide it by `{_divisor(dimension)}`"
+            replacement = Replacement(f"{written} {units[0]}", safe=units[0] == str(dimension) and other is None)
+    if other is not None:
+        corrected = divided_text(other, f" / {_divisor(dimension)}")
+        plain = f"divide the other side by its unit to get a plain number: {CORRECTED_LINE}"
+        help, replacement = (plain, None) if is_paid else (f"{help}; or {plain}", replacement)
     place = value._replace(start=ends[0].start, end=ends[-1].end)
-    return report_at(report, "DB502", place, f"expected {_expected(dimension, noun)}, found a number without a unit", help, replacement)
+    headline = f"expected {_expected(dimension, noun)}, found a number without a unit"
+    return report_at(report, "DB502", place, headline, help, replacement, corrected=corrected)
 
 
 def _number_text(number: float) -> str:
@@ -208,10 +221,10 @@ def _remedy(value: Typed, needed: Dimension) -> tuple[str, list[str]]:
     of = f" of {' or '.join(f'`{name}`' for name in names)}" if names else ""
     line = _line_with_unit(value, needed)
     shown = f": `{line}`" if line else ""
-    other = f"multiply by a factor in {needed / given}"
     if given == SPEED and needed == ANGULAR_VELOCITY:
-        other = "divide a speed by the radius of the wheel: `/ 2 cm * rad`"
-    return f"correct the unit{of}{shown}, or {other}", names
+        meant = f"if it is the speed of a wheel's rim, divide it by the wheel's radius, here {WHEEL_RADIUS}"
+        return f"correct the unit{of}{shown}; or, {meant}: {CORRECTED_LINE}", names
+    return f"correct the unit{of}{shown}, or multiply by a factor in {needed / given}", names
 
 
 def _divisor(dimension: Dimension) -> str:
@@ -408,6 +421,17 @@ def negated_text(value: Typed) -> Callable[[str], str]:
         return f"{right} - ({left}){rest}" if _is_sum(part.args[0]) else f"{right} - {left}{rest}"
 
     return turned
+
+
+def divided_text(value: Typed, divisor: str) -> Callable[[str], str]:
+    """Makes the text with `divisor` behind the value from the text; around a sum or a condition come parentheses."""
+
+    def divided(text: str) -> str:
+        part = text[value.start : value.end]
+        needs_parentheses = isinstance(value, Operation) and (_is_sum(value) or (value.operator == "where" and not part.startswith("(")))
+        return f"{text[: value.start]}{f'({part})' if needs_parentheses else part}{divisor}{text[value.end :]}"
+
+    return divided
 
 
 def _is_sum(value: Typed) -> bool:

@@ -17,6 +17,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from itertools import islice
 from pathlib import Path
 
 from deepbots_cli.compiler import CheckedScenario, check
@@ -33,6 +34,8 @@ STUDY_RECORD_NAME = "study.json"
 MODELS_FOLDER = "models"
 _MAX_ABOVE = 4
 _MAX_LISTED = 8
+_MAX_RUNS = 500
+"""Folders that are looked at for runs."""
 RECORDING_SUFFIX = ".mcap"
 
 
@@ -186,12 +189,25 @@ def _hint(path: Path) -> str:
     if path.stem in names and len(path.parts) == 1:  # as in `cartpole.yaml`
         return f"the shipped scenario is called `{path.stem}`; `deepbots new {path.stem} --from {path.stem}` copies it to {path.stem}.yaml"
     if _is_path_of_run(path):
-        return f"the current folder is {here}; `deepbots runs` lists the runs in its folder runs"
+        return f"the current folder is {here}; {_runs_there(here)}"
     near = nearest_word(path.stem, names)
     is_shipped = near is not None and is_typo(path.stem, near) and len(path.parts) == 1
     if path.suffix in (".yaml", ".yml") and not is_shipped:
         return f"the current folder is {here}{_scenario_files(here, path)}"
     return f"did you mean {near}? (`deepbots scenarios` shows all)" if near else f"the shipped scenarios are: {', '.join(names)}"
+
+
+def _runs_there(here: Path) -> str:
+    """The runs in the folder `runs` of a folder, the newest first."""
+    try:
+        folders = [Path(entry.path) for entry in islice(os.scandir(here / "runs"), _MAX_RUNS) if entry.is_dir()]
+        newest = sorted((folder for folder in folders if folder_kind(folder)), key=os.path.getmtime, reverse=True)
+    except OSError:
+        newest = []
+    if not newest:
+        return "it has no runs: train one with `deepbots train SCENARIO`"
+    more = ", and `deepbots runs` lists all" if len(newest) > _MAX_LISTED else ""
+    return f"its runs, the newest first, are {', '.join(str(run.relative_to(here)) for run in newest[:_MAX_LISTED])}{more}"
 
 
 def _is_path_of_run(path: Path) -> bool:

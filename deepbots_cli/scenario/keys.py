@@ -7,7 +7,7 @@ of the section one level up or down, a name that belongs one level down, a word 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping, Sequence
 from functools import cache
 from typing import Annotated, Any, NamedTuple
 
@@ -103,19 +103,21 @@ def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Sug
     if isinstance(kinds, Kinds):
         others = [name for name, model in kinds.models.items() if key in model.model_fields and name != kinds.default]
         if others:
-            return Suggestion(_beside(f"remove it: only {listed(others)} {'uses' if len(others) == 1 else 'use'} this key", section))
+            only = f"only {listed(others)} {'uses' if len(others) == 1 else 'use'} this key"
+            kept = to_data(descend(root, (*path[:-1], kinds.key))[0])
+            to_keep = f" to keep `{kinds.key}: {kept}`" if isinstance(kept, str) else ""
+            return Suggestion(_beside(f"remove this line{to_keep}: {only}", section))
     if near and is_typo(key, near.text):
         return Suggestion(_beside(f"did you mean `{near.text}`? Write `{_line(root, path, near.text)}`", section), near)
-    if home := _home_next_to(path[:-1], key):
-        return Suggestion(_beside(f"write `{_line(root, path, key)}` {home}", section))
+    if (home := _home_next_to(path[:-1], key)) is not None:
+        return Suggestion(_beside(_moved(root, path, home), section))
     node = descend(root, path)[0]
     if node.span.end - node.span.start <= _MAX_VALUE_CHARACTERS and (holders := _holders(section, key, to_data(node))):
-        places = " or ".join(f"`{holder}:`" for holder in holders)
-        return Suggestion(_beside(f"a name that you choose stands one level further in: write this line below {places}", section))
+        return Suggestion(_beside(_further_in(root, path, holders, section.model_fields), section))
     if near:
         return Suggestion(f"did you mean `{near.text}`? {keys_of(section)}", near)
-    if home := _home_elsewhere(path[:-1], key):
-        return Suggestion(f"`{key}` is a key {home}; {keys_of(section)}")
+    if elsewhere := _home_elsewhere(path[:-1], key):
+        return Suggestion(f"`{key}` is a key {elsewhere}; {keys_of(section)}")
     return Suggestion(keys_of(section))
 
 
@@ -157,6 +159,62 @@ def _line(root: nodes.MappingNode, path: NodePath, key: str) -> str:
     return f"{key}{behind}" if re.fullmatch(rf":[^\n]{{1,{_MAX_LINE_CHARACTERS}}}", behind) else f"{key}:"
 
 
+_STEP = "  "  # of the indentation
+
+
+def _indentation(word: nodes.ScalarNode) -> str:
+    """The spaces before a key that begins its line; none before one that does not."""
+    text = word.span.source.text
+    before = text[text.rfind("\n", 0, word.span.start) + 1 : word.span.start]
+    return before if before.isspace() else ""
+
+
+def _is_block(node: nodes.Node) -> bool:
+    """Whether a mapping has a line for each of its keys."""
+    return isinstance(node, nodes.MappingNode) and not node.span.text.startswith("{") and bool(node.entries)
+
+
+def _moved(root: nodes.MappingNode, path: NodePath, home: NodePath) -> str:
+    """Where the entry at `path` belongs, and the line to write there."""
+    line = _line(root, path, str(path[-1]))
+    if line.startswith("--set"):
+        return f"write `--set {'.'.join(map(str, (*home, path[-1])))}{line.removeprefix(f'--set {path[-1]}')}`"
+    if not home:
+        return f"move this line to the top level, without spaces before it: `{line}`"
+    section, key, steps = descend(root, home)
+    if steps < len(home):
+        return f"replace this line by `{home[-1]}: {{{line}}}`{f' under `{home[0]}`' if len(home) > 1 else ''}"
+    where = f"`{'.'.join(map(str, home))}`"
+    if key is None or not _is_block(section):
+        return f"remove this line, and write `{line}` inside the braces of {where}"
+    first = next(iter(section.entries.values())).key if isinstance(section, nodes.MappingNode) else key
+    at = f"`{key.text}:` (line {key.span.start_position.line})"
+    return f"move this line: remove it here, and write `{_indentation(first)}{line}` below {at}"
+
+
+def _further_in(root: nodes.MappingNode, path: NodePath, holders: Sequence[str], known: Container[str]) -> str:
+    """The line that is missing above an entry whose name the user chooses."""
+    why = "a name that you choose stands one level further in"
+    section, (_, key, _) = descend(root, path[:-1])[0], descend(root, path)
+    line, names = _line(root, path, str(path[-1])), tuple(section.entries) if isinstance(section, nodes.MappingNode) else ()
+    present = [holder for holder in holders if holder in names]
+    first = next((name for name in names if name not in known), None)
+    if key is None or line.startswith("--set"):
+        assignments = " or ".join(f"`--set {'.'.join(map(str, (*path[:-1], holder, path[-1])))}=...`" for holder in holders)
+        return f"{why}: write {assignments}"
+    if present:
+        return f"{why}: move this line below {' or '.join(f'`{holder}:`' for holder in present)}"
+    if first not in (None, path[-1]):
+        return f"{why}: it belongs with `{first}` below the line that is missing there"
+    if not _is_block(section):
+        return f"{why}: write {' or '.join(f'`{holder}: {{{line}}}`' for holder in holders)}"
+    owner = descend(root, path[:-1])[1]
+    outer, inner = (_indentation(owner) if owner else "") + _STEP, _indentation(key)
+    lines = " or ".join(f"`{outer}{holder}:`" for holder in holders)
+    further = "" if len(inner) > len(outer) else f", and indent this line by {len(outer) + len(_STEP)} spaces"
+    return f"{why}: add the line {lines} above it{further}"
+
+
 @cache
 def _validator_of(section: type[Section], key: str) -> TypeAdapter[Any]:
     info = section.model_fields[key]
@@ -194,8 +252,8 @@ def _pattern_matches(pattern: tuple[str, ...], steps: tuple[str, ...]) -> bool:
     return len(pattern) == len(steps) and all(known in ("*", step) for known, step in zip(pattern, steps, strict=True))
 
 
-def _home_next_to(parent: NodePath, key: str) -> str | None:
-    """The section one level up or down that has this key."""
+def _home_next_to(parent: NodePath, key: str) -> NodePath | None:
+    """The path of the section one level up or down that has this key."""
     here = tuple(step for step in parent if isinstance(step, str))
     homes = _homes().get(key, frozenset())
     levels = [home for home in homes if _pattern_matches(home, here[:-1])] if here else []
@@ -203,8 +261,7 @@ def _home_next_to(parent: NodePath, key: str) -> str | None:
     levels += [home for home in below if len(home) == len(here) + 1 and home[-1] != "*"]
     if not levels:
         return None
-    steps = [own if step == "*" else step for step, own in zip(levels[0], (*here, ""), strict=False)]
-    return f"under `{'.'.join(steps)}`" if steps else "at the top level"
+    return tuple(own if step == "*" else step for step, own in zip(levels[0], (*here, ""), strict=False))
 
 
 def _home_elsewhere(parent: NodePath, key: str) -> str | None:

@@ -17,10 +17,11 @@ pytest.importorskip("onnxruntime")
 import onnxruntime
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.insight.export.isaac import DEPLOY_NAME, GRAPH_NAME, deploy_settings, isaac_files
+from deepbots_cli.insight.export.deploy import deploy_settings
+from deepbots_cli.insight.export.isaac import DEPLOY_NAME, GRAPH_NAME, isaac_files
 from deepbots_cli.insight.export.recording import recorded_steps
 from deepbots_cli.rollout.policies import PolicyDriver
-from tests.bundle.untrained import made
+from tests.bundle.untrained import made, with_training
 
 WALK = str(Path(__file__).parent / "walk.yaml")
 Terms = Mapping[str, Callable[[Mapping[str, Any], Any], Any]]
@@ -108,3 +109,11 @@ def test_a_scenario_that_does_not_fit_is_refused(scenario: str, overrides: list[
     with pytest.raises(UsageError) as caught:
         deploy_settings(made(scenario, *overrides)[0].program)
     assert named in str(caught.value)
+
+
+def test_a_recurrent_policy_is_refused() -> None:
+    program = made(WALK)[0].program
+    assert program.agent.training is not None
+    recurrent = with_training(program, algorithm="RecurrentPPO")
+    with pytest.raises(UsageError, match="a recurrent policy does not fit the runners"):
+        deploy_settings(recurrent)

@@ -7,6 +7,8 @@ import json
 import re
 import shlex
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -208,3 +210,12 @@ def test_nothing_is_overwritten_and_a_group_is_refused(bundle, run, tmp_path, ca
     assert main(["export", str(run), "--to", "isaac-lab", "-o", str(tmp_path / "new")]) == 2
     assert "choices, goals, images, copies" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
+
+
+def test_export_to_isaac_lab_refuses_before_it_imports_torch_and_reads_the_model(run, tmp_path):
+    """With both, the refusal of a scenario that does not fit took seven seconds."""
+    code = "import sys; from deepbots_cli.cli import main; print(main(sys.argv[1:]), [m for m in ('torch', 'onnx') if m in sys.modules])"
+    words = ["export", str(run), "--to", "isaac-lab", "-o", str(tmp_path / "new")]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True)
+    assert "choices, goals, images, copies" in done.stderr
+    assert done.stdout == "2 []\n"

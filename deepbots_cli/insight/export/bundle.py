@@ -98,6 +98,10 @@ def files_for(run: Run, name: ModelName, reader: str) -> dict[PurePosixPath, byt
         RunError: There is no such model, or it is damaged.
         UsageError: The scenario does not fit this form.
     """
+    if reader == "isaac-lab":
+        from deepbots_cli.insight.export.deploy import deploy_settings
+
+        deploy_settings(run.program)  # refuses in a second what takes seven with the imports and the model below
     try:
         from deepbots_cli.insight.export import isaac, leapp, lerobot
         from deepbots_cli.learning import policy

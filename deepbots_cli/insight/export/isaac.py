@@ -1,166 +1,31 @@
-"""A policy in the form that runners of Isaac Lab read: `exported/policy.onnx` over observations, and `params/deploy.yaml` around it.
-
-The file has the keys of unitree_rl_lab (`joint_ids_map`, `step_dt`, `stiffness`, `damping`, `default_joint_pos`, `commands`, `actions`,
-`observations`), with all digits of each number. A runner computes `scale * clip(value)` of each observation, and
-`clip(scale * action + offset)` of the action; other scenarios cannot be written so.
-"""
+"""A policy in the form that runners of Isaac Lab read: `exported/policy.onnx` over observations, and `params/deploy.yaml` around it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import PurePosixPath
-from typing import Any
 
 import numpy as np
 import yaml
 
-from deepbots_cli.errors import UsageError
-from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
-from deepbots_cli.insight.export.actuators import linear, output
+from deepbots_cli.insight.export.deploy import deploy_settings
 from deepbots_cli.insight.export.graph import Graph
 from deepbots_cli.insight.export.network import decide, policy_graph
 from deepbots_cli.learning.learner import Learner
 from deepbots_cli.program import Program
-from deepbots_cli.program.robots import Command, Motor, Robot, Sensor
-from deepbots_cli.program.task import Observation
 
 DEPLOY_NAME, GRAPH_NAME = PurePosixPath("params/deploy.yaml"), PurePosixPath("exported/policy.onnx")
-_TERMS = {
-    "gyro": "base_ang_vel",
-    "projected_gravity": "projected_gravity",
-    "joint_position": "joint_pos",
-    "joint_velocity": "joint_vel_rel",
-}
-"""What runners call the value of a sensor."""
-_ROUNDING = 1e-9
 
 
 def isaac_files(program: Program, learner: Learner) -> dict[PurePosixPath, bytes]:
     """`params/deploy.yaml` and `exported/policy.onnx`.
 
     Raises:
-        UsageError: A runner cannot compute the observation or the commands of the scenario; names the part.
+        UsageError: As `deploy_settings`.
     """
     text = yaml.safe_dump(deploy_settings(program), default_flow_style=None, sort_keys=False, allow_unicode=True)
     policy_graph(learner, program)  # compares the networks with those of the learner
-    network, graph = learner.network(), Graph()
-    if network.memory is not None:
-        raise UsageError("a recurrent policy does not fit the runners of Isaac Lab, which pass on no memory; export a bundle instead")
+    graph = Graph()
     seen = graph.input("obs", np.float32, 1, len(program.agent.inputs))
-    graph.output("actions", decide(graph, network, program, {"observation": seen}).action, np.float32, 1, len(program.agent.range_names))
+    decision = decide(graph, learner.network(), program, {"observation": seen})
+    graph.output("actions", decision.action, np.float32, 1, len(program.agent.range_names))
     return {DEPLOY_NAME: text.encode(), GRAPH_NAME: graph.model(program.name)}
-
-
-def deploy_settings(program: Program) -> dict[str, Any]:
-    """The content of `deploy.yaml`; joints are in the order of the action, but for gains, which are in the order of the robot file.
-
-    Raises:
-        UsageError: As `isaac_files`.
-    """
-    agent = program.agent
-    if agent.choices or agent.goal is not None or agent.images or agent.frame_stack > 1 or agent.copies is not None:
-        raise UsageError(
-            "the runners of Isaac Lab take a vector of numbers and return targets of joints: choices, goals, images, copies and"
-            " `agent.frame_stack` do not fit (use `history` of an observation); export a bundle instead"
-        )
-    robot, command = _only_command(program)
-    motor = command.actuator
-    if not isinstance(motor, Motor) or motor.kind != "position_motor" or motor.stiffness is None or motor.damping is None:
-        raise UsageError(f"the runners of Isaac Lab drive position motors with stiffness and damping, and '{command.name}' is none")
-    found = linear(program, command.scalars)
-    if found is None or not np.array_equal(found[0], np.diag(np.diag(found[0]))):
-        raise UsageError(f"`apply.{command.name}` is not a scale and an offset for each number of the action; export a bundle instead")
-    scale, offset = np.diag(found[0]).tolist(), found[1].tolist()
-    model = next(body.model for body in program.world.robots if body.name == robot.name)
-    in_file = [joint.name for joint in model.joints if joint.name in motor.joints]
-    ends = output(program, robot, command).range
-    commands: dict[str, Any] = {}
-    observations: dict[str, Any] = {}
-    parameters = {value.name: value for value in program.parameters}
-    for entry in agent.observation:
-        name, term = _term(entry, robot, motor, offset)
-        if entry.name in parameters:
-            term["params"] = {"command_name": entry.name}
-            commands[entry.name] = {"ranges": {entry.name: [entry.low[0], entry.high[0]]}}
-        observations[name] = term
-    return {
-        "joint_names": [*motor.joints],
-        "joint_ids_map": [in_file.index(joint) for joint in motor.joints],
-        "step_dt": program.period,
-        "stiffness": [motor.stiffness] * len(in_file),
-        "damping": [motor.damping] * len(in_file),
-        "default_joint_pos": offset,
-        "commands": commands,
-        "actions": {
-            "JointPositionAction": {
-                "clip": [[low, high] for low, high in zip(*ends, strict=True)] if None not in (*ends[0], *ends[1]) else None,
-                "joint_names": [*motor.joints],
-                "scale": scale,
-                "offset": offset,
-                "joint_ids": None,
-            }
-        },
-        "observations": observations,
-    }
-
-
-def _only_command(program: Program) -> tuple[Robot, Command]:
-    robots = [robot for robot in program.robots if robot.name in program.agent.robots]
-    commands = [(robot, command) for robot in robots for command in robot.commands]
-    if len(commands) != 1:
-        names = ", ".join(f"{robot.name}.{command.name}" for robot, command in commands)
-        raise UsageError(f"the runners of Isaac Lab drive one group of joints, and the scenario commands {names}; export a bundle instead")
-    return commands[0]
-
-
-def _term(entry: Observation, robot: Robot, motor: Motor, offset: Sequence[float]) -> tuple[str, dict[str, Any]]:
-    """The name that runners have for an entry of the observation, or its own, and the settings of the term."""
-    size = len(entry.numbers)
-    term: dict[str, Any] = {"params": {}, "clip": None, "scale": [1.0] * size, "history_length": entry.history}
-    if not entry.numbers[0].is_truth and entry.name != "previous_action":
-        ends = {*zip(entry.low, entry.high, strict=True)}
-        if len(ends) > 1 or any(abs(low + high) > _ROUNDING * (high - low) for low, high in ends):
-            raise UsageError(
-                f"the range of the observation '{entry.name}' must be the same for all components and symmetric about 0, as"
-                " the runners of Isaac Lab only multiply; export a bundle instead"
-            )
-        ((low, high),) = ends
-        term |= {"scale": [1.0 / high] * size, "clip": [low, high] if entry.clip else None}
-    return _term_name(entry, robot, motor, offset), term
-
-
-def _term_name(entry: Observation, robot: Robot, motor: Motor, offset: Sequence[float]) -> str:
-    if entry.name == "previous_action":
-        return "last_action"
-    sent = next((value.scalars for value in robot.emitted if f"{robot.name}.{value.name}" == entry.name), ())
-    sensors = {sensor.name: sensor for sensor in robot.sensors}
-    pairs = [_sensed(tree) for tree in sent]
-    found = {sensors[leaf.name].name: sensors[leaf.name] for leaf, _ in pairs if leaf is not None and leaf.name in sensors}
-    own = entry.name.replace(".", "_")
-    if len(found) != 1 or any(leaf is None for leaf, _ in pairs):
-        return own
-    ((_, sensor),) = found.items()
-    shifts = [shift for _, shift in pairs]
-    if [leaf.component for leaf, _ in pairs if leaf is not None] != [*sensor.components] or sensor.kind not in _TERMS:
-        return own
-    return (
-        _of_joints(sensor, shifts, motor, offset, own) if sensor.kind.startswith("joint") else own if any(shifts) else _TERMS[sensor.kind]
-    )
-
-
-def _of_joints(sensor: Sensor, shifts: Sequence[float], motor: Motor, offset: Sequence[float], own: str) -> str:
-    if sensor.subjects != motor.joints:
-        return own
-    if sensor.kind == "joint_position" and np.allclose(shifts, offset, rtol=0.0, atol=_ROUNDING) and any(shifts):
-        return "joint_pos_rel"
-    return own if any(shifts) else _TERMS[sensor.kind]
-
-
-def _sensed(tree: Scalar) -> tuple[Name | None, float]:
-    """A component of a sensor, and what is subtracted from it."""
-    match tree:
-        case Name():
-            return tree, 0.0
-        case Op("sub", (Name() as leaf, Const(value))):
-            return leaf, float(value)
-    return None, 0.0
