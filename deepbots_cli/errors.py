@@ -6,6 +6,7 @@
     │   ├── BatchError          the scenario cannot run in a batch of worlds
     │   ├── MissingExtraError   an optional dependency is not installed
     │   └── RunError            a run directory cannot be used: missing, damaged, or of another version
+    │       └── StorageError    a file cannot be written: the disk is full, or read-only
     ├── MessageError            a message between robot and supervisor does not have the expected layout
     ├── EvaluationError         an expression has no value in the present state of the world
     ├── PluginError             the code of a callback or logger of another package failed

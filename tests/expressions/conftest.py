@@ -95,7 +95,7 @@ class Bench:
         self.text = ""
         self.scope = Words()
 
-    def report(self, code, start, end, headline, help=None, replacement=None, names=()):
+    def report(self, code, start, end, headline, help=None, replacement=None, names=(), corrected=None):
         assert 0 <= start <= end <= len(self.text)
         assert headline[0] == headline[0].lower() or headline[0] == "`"
         assert not headline.endswith(".")
