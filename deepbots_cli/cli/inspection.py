@@ -57,7 +57,7 @@ def scenario_tables(scenario: Program, root: Node, run: Run | None = None, learn
             "run": _run(run) if run else {},
             "scenario": _scenario(scenario),
             "drawn": [
-                {"drawn": entry.what.replace("_", " "), "of": ".".join(filter(None, entry.of)), "from": _draws(entry)}
+                {"drawn": entry.what.replace("_", " "), "of": ".".join(filter(None, entry.of)), "from": _written(entry)}
                 for entry in scenario.reset.variations
             ],
             "robots": [
@@ -283,6 +283,11 @@ def _objects(scenario: Program) -> list[Row]:
         row = {"object": body.name, "shape": type(body.shape).__name__.lower(), "mass_kg": drawn.get("mass", body.mass)}
         rows.append(row | {"fixed": body.fixed, "solid": body.solid, "friction": drawn.get("lateral_friction", body.friction)})
     return rows
+
+
+def _written(entry: RandomizedParameter) -> str:
+    """The expression that is drawn, as the scenario writes it."""
+    return _draws(entry) if entry.what == "color" else " ".join(entry.value.text.split())
 
 
 def _draws(entry: RandomizedParameter) -> str:

@@ -12,17 +12,16 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.analysis.deployment import Deployment
+from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.cli import inspection, terminal
 from deepbots_cli.cli.command import Case, EngineOrRun, Overrides, Stage, option
 from deepbots_cli.cli.sources import is_robot, open_robot, open_source
 from deepbots_cli.cli.tables import Row, row_as_lines, table
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.diagnostics.render import summary
-from deepbots_cli.document import MappingNode, Permissions, inline_text, shipped
+from deepbots_cli.document import MappingNode, Permissions, shipped
 from deepbots_cli.document.load import with_settings_at
-from deepbots_cli.document.nodes import node_at
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError
-from deepbots_cli.expressions.written import written_unit
 from deepbots_cli.program import Program
 
 if TYPE_CHECKING:
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 _CAPTIONS = {
     "observation": "low .. high is mapped to the range in `seen_as`; values outside are clipped",
     "poses": "end links of the robots at the start of the episode with seed 0, in the world frame",
-    "drawn": "values that each reset draws, in SI units",
+    "drawn": "values that each reset draws",
     "hyperparameters": "`from` names the source of each value: the scenario, or the default of deepbots or of the library",
     "timing": "the physics step of each action and measurement, for step n = 0, 1, ... of the agent; the first physics step is 1",
 }
@@ -112,18 +111,18 @@ def _topics(program: Program) -> dict[str, Topic]:
 
 def _in_written_units(tables: inspection.Tables, root: MappingNode) -> inspection.Tables:
     """The tables with the ranges of observations and actions in the units of the file, such as deg; JSON has SI units."""
+    units = ShownUnits(root)
 
-    def converted(section: str, row: Row) -> Row:
-        node = node_at(root, section, str(row.get("name", row.get("action", ""))))
-        unit = written_unit(str(row.get("unit", "")), inline_text(node)) if node is not None else None
+    def converted(row: Row) -> Row:
         low, high = row.get("low"), row.get("high")
-        if unit is None or not isinstance(low, float) or not isinstance(high, float):
+        if not isinstance(low, float) or not isinstance(high, float):
             return row
+        unit = units.of_entry(str(row.get("name", row.get("action", ""))), str(row["unit"]))
         ends = {key: float(f"{unit.from_si(end):.10g}") for key, end in (("low", low), ("high", high))}
         return {**row, **ends, "unit": unit.text}
 
     ranges: inspection.Tables = {
-        section: [converted(section, row) for row in rows]
+        section: [converted(row) for row in rows]
         for section, rows in tables.items()
         if section in ("observation", "action") and isinstance(rows, list)
     }
