@@ -96,9 +96,9 @@ class Trace:
 class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
     """A world that notes each step of an episode; a reset begins anew. The wrapper closes the world."""
 
-    def __init__(self, world: Supervisor, instrumented: InstrumentedProgram, units: ShownUnits) -> None:
+    def __init__(self, world: Supervisor, instrumented: InstrumentedProgram, units: ShownUnits | None = None) -> None:
         super().__init__(world)
-        self.world, self.instrumented, self.units = world, instrumented, units
+        self.world, self.instrumented, self.units = world, instrumented, units or ShownUnits()
         self.observations: list[Any] = []
         self.actions: list[Any] = []
         self._terms: list[list[Mapping[str, float]]] = []

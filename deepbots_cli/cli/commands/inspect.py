@@ -12,11 +12,10 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.analysis.deployment import Deployment
-from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.cli import inspection, terminal
 from deepbots_cli.cli.command import Case, EngineOrRun, Overrides, Stage, option
 from deepbots_cli.cli.sources import is_robot, open_robot, open_source
-from deepbots_cli.cli.tables import Row, row_as_lines, table
+from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.document import MappingNode, Permissions, shipped
@@ -94,7 +93,7 @@ def command(
     if full or as_json:
         tables = {**tables, **_poses(program, engine or (side.run.engine_for(program) if side.run else None), permissions)}
     shown = {name: rows for name, rows in tables.items() if full or name in _BRIEF}
-    terminal.show(tables, *_lines(shown if as_json else _in_written_units(shown, root)), as_json=as_json)
+    terminal.show(tables, *_lines(shown if as_json else inspection.in_written_units(shown, program, root)), as_json=as_json)
     if len(shown) < len(tables) and not as_json:
         terminal.note(f"--full also shows: {', '.join(name.replace('_', ' ') for name in tables if name not in shown)}")
 
@@ -107,26 +106,6 @@ def _topics(program: Program) -> dict[str, Topic]:
         raise MissingExtraError("robot", "--ros") from error
     needed = {*Deployment(program).unmeasured, *(field.name for field in (*sensor_fields(program), *command_fields(program)))}
     return {name: topic for name, topic in mapping(program).items() if name in needed}
-
-
-def _in_written_units(tables: inspection.Tables, root: MappingNode) -> inspection.Tables:
-    """The tables with the ranges of observations and actions in the units of the file, such as deg; JSON has SI units."""
-    units = ShownUnits(root)
-
-    def converted(row: Row) -> Row:
-        low, high = row.get("low"), row.get("high")
-        if not isinstance(low, float) or not isinstance(high, float):
-            return row
-        unit = units.of_entry(str(row.get("name", row.get("action", ""))), str(row["unit"]))
-        ends = {key: float(f"{unit.from_si(end):.10g}") for key, end in (("low", low), ("high", high))}
-        return {**row, **ends, "unit": unit.text}
-
-    ranges: inspection.Tables = {
-        section: [converted(row) for row in rows]
-        for section, rows in tables.items()
-        if section in ("observation", "action") and isinstance(rows, list)
-    }
-    return {**tables, **ranges}
 
 
 def _ros_text(topics: Mapping[str, Topic]) -> str:
