@@ -15,11 +15,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import engine_kinds
+from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.document import Document, Permissions
@@ -69,6 +70,11 @@ class Compiled:
     overrides: tuple[str, ...] = ()
     learner: tuple[str, ...] = ()
     document: Document | None = None
+
+    @cached_property
+    def units(self) -> ShownUnits:
+        """The units in which the quantities of the scenario are shown."""
+        return ShownUnits(None if self.document is None else self.document.root)
 
     @property
     def code(self) -> str:

@@ -9,6 +9,7 @@ deployment.py  the readings of the world that a policy needs on a real robot
 returns.py     what the terms of the reward pay in a step and at an end, and the return of an episode
 changes.py     what differs between two scenarios
 speeds.py      limits of speed, and the return that they allow
+shown_units.py in which unit a quantity is shown: the one in which the file writes it
 courses.py     values along an assumed course of some quantities, without a simulated world
 """
 

@@ -13,6 +13,7 @@ from collections.abc import Mapping as Dictionary
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.cli.sources import text_at
 from deepbots_cli.cli.tables import Row
 from deepbots_cli.compiler.learner import CHOSEN
@@ -103,6 +104,30 @@ def scenario_tables(scenario: Program, root: Node, run: Run | None = None, learn
             **_training(scenario, root, run, learner),
         }
     )
+
+
+def in_written_units(tables: Tables, scenario: Program, root: Node) -> Tables:
+    """The tables with draws as the scenario writes them, and with ranges of observations and actions in the units of the file."""
+    units = ShownUnits(root)
+
+    def converted(row: Row) -> Row:
+        low, high = row.get("low"), row.get("high")
+        if not isinstance(low, float) or not isinstance(high, float):
+            return row
+        unit = units.of_entry(str(row.get("name", row.get("action", ""))), str(row["unit"]))
+        ends = {key: float(f"{unit.from_si(end):.10g}") for key, end in (("low", low), ("high", high))}
+        return {**row, **ends, "unit": unit.text}
+
+    changed: Dictionary[str, list[Row]] = {
+        section: [converted(row) for row in rows]
+        for section, rows in tables.items()
+        if section in ("observation", "action") and isinstance(rows, list)
+    }
+    drawn = tables.get("drawn", [])
+    assert isinstance(drawn, list)
+    pairs = zip(drawn, scenario.reset.variations, strict=False)
+    written = [row if entry.what == "color" else {**row, "from": " ".join(entry.value.text.split())} for row, entry in pairs]
+    return {**tables, **changed, **({"drawn": written} if written else {})}
 
 
 def robot_tables(file: RobotFile, findings: list[Finding]) -> Tables:

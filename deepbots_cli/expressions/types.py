@@ -326,11 +326,11 @@ def referenced_names(tree: Typed) -> Iterator[str]:
     return (node.symbol.name for node in walk(tree) if isinstance(node, Reference))
 
 
-def written_unit(value: Typed) -> Unit:
-    """The unit in which the text writes the value: the first one of its dimension; the SI unit where the text has none."""
+def written_unit(value: Typed) -> Unit | None:
+    """The unit in which the text writes the value: the first one of its dimension; None where the text has none."""
     dimension = value.type.dimension
     units = (node.unit for node in walk(value) if isinstance(node, Constant) and node.unit is not None)
-    return next((unit for unit in units if unit.dimension == dimension), Unit(str(dimension), dimension))
+    return next((unit for unit in units if unit.dimension == dimension), None)
 
 
 def is_bare_number(value: Typed) -> bool:

@@ -1,4 +1,4 @@
-"""The units that a text of the file is written in, so that a quantity is shown in them."""
+"""The units that a text of the file is written in, and the unit of a quantity that no text writes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from deepbots_cli.expressions.syntax import NUMBER
 
 _WORD = r"(?:[A-Za-z]+|%)(?:\^-?\d)?"
 _UNIT = re.compile(rf"{NUMBER}\s*({_WORD}(?:[*/]{_WORD})*)")
+_USUAL = {"rad": "deg", "rad/s": "deg/s", "rad/s^2": "deg/s^2"}
 _COMPOUND = re.compile(rf"(?:{NUMBER})\s*\(({_WORD}(?:[*/]{_WORD})*)\)")
 MAX_TEXT = 10_000
 """Letters of an expression that are searched for a unit."""
@@ -17,11 +18,21 @@ MAX_TEXT = 10_000
 
 def written_unit(unit: str, *texts: str) -> Unit | None:
     """The first unit in the texts that measures the same as the SI unit `unit`, or None."""
-    units = (found for text in texts for found in _units_in(text))
+    units = (found for text in texts for found in units_in(text))
     return next((found for found in units if str(found.dimension) == unit), None)
 
 
-def _units_in(text: str) -> Iterator[Unit]:
+def usual_unit(unit: str) -> Unit:
+    """The unit in which people read a quantity in the SI unit `unit` that no text writes: deg for rad, else the SI unit."""
+    return unit_named(_USUAL.get(unit, unit))
+
+
+def unit_named(text: str) -> Unit:
+    """The unit `deg/s`; one without a dimension where a word of the text is none."""
+    return ONE if text in ("", "1") else _unit(text) or Unit(text, ONE.dimension)
+
+
+def units_in(text: str) -> Iterator[Unit]:
     """The units that follow a number in a text, in their order."""
     text = text[:MAX_TEXT]
     matches = [*_UNIT.finditer(text), *_COMPOUND.finditer(text)]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from deepbots_cli.expressions.written import written_unit
+from deepbots_cli.expressions.written import unit_named
 from deepbots_cli.insight.conditions import (
     SIGN_OF_OPERATOR,
     Comparison,
@@ -47,9 +47,9 @@ def explanation_json(trace: Trace, statements: Sequence[Statement]) -> dict[str,
     }
 
 
-def _shown(leaf: Comparison, value: float, digits: int = 4) -> str:
+def _shown(trace: Trace, leaf: Comparison, value: float, digits: int = 4) -> str:
     """A value of a comparison in the unit in which the scenario writes its threshold."""
-    return quantity_text(value, leaf.unit, digits, written=written_unit(leaf.unit, *reversed(leaf.sides)))
+    return quantity_text(value, trace.units.of(leaf.unit, *reversed(leaf.sides)), digits)
 
 
 def _seconds(time: float) -> str:
@@ -87,8 +87,14 @@ def margin(trace: Trace) -> Numbers | None:
     value, bound = end.condition.sides
     named = f" ({bound})" if not bound[:1].isdigit() else ""
     where = "over" if end.value > end.bound else "under" if end.value < end.bound else "away from"
-    return {**end.as_json(), "side": value, "shown": _shown(end.condition, end.value), "limit": _shown(end.condition, end.bound) + named,
-            "by": _shown(end.condition, abs(end.margin), 3), "where": where}  # fmt: skip
+    return {
+        **end.as_json(),
+        "side": value,
+        "shown": _shown(trace, end.condition, end.value),
+        "limit": _shown(trace, end.condition, end.bound) + named,
+        "by": _shown(trace, end.condition, abs(end.margin), 3),
+        "where": where,
+    }
 
 
 def truth_ending(trace: Trace) -> Numbers | None:
@@ -104,8 +110,9 @@ def truncation_limit(trace: Trace) -> Numbers | None:
     limits = trace.program.truncation
     if trace.outcome not in ("time limit", "success") or trace.ended_by not in ("max_steps", "max_time"):
         return None
-    value, bound, unit = (trace.steps, limits.max_steps, "") if trace.ended_by == "max_steps" else (trace.time, limits.max_time, "s")
-    return {"condition": trace.ended_by, "value": value, "bound": bound, "margin": value - (bound or 0), "unit": unit,
+    value, bound, si = (trace.steps, limits.max_steps, "") if trace.ended_by == "max_steps" else (trace.time, limits.max_time, "s")
+    unit = unit_named(si)
+    return {"condition": trace.ended_by, "value": value, "bound": bound, "margin": value - (bound or 0), "unit": si,
             "shown": quantity_text(value, unit), "limit": quantity_text(bound or 0, unit)}  # fmt: skip
 
 
@@ -122,7 +129,7 @@ def approach(trace: Trace) -> Numbers | None:
     if start >= len(margins) - 2:
         return None
     return {"step": start, "steps": len(margins) - 1 - start, "at": trace.time_at(start), "seconds": _seconds(trace.time_at(start)),
-            "from": _shown(leaf, past[start].value), "side": leaf.sides[0]}  # fmt: skip
+            "from": _shown(trace, leaf, past[start].value), "side": leaf.sides[0]}  # fmt: skip
 
 
 def nearest(trace: Trace) -> Numbers | None:
@@ -139,7 +146,7 @@ def nearest(trace: Trace) -> Numbers | None:
     never = not any(measure(leaf, values).holds for values in trace.values)
     beside = [step for step, leaves in enumerate(missing) if len(leaves) == fewest and leaf in leaves]
     step, found = nearest_moment(trace, leaf, () if never else beside)
-    limit, value = (_shown(leaf, number or 0.0) for number in (found.bound, found.value))
+    limit, value = (_shown(trace, leaf, number or 0.0) for number in (found.bound, found.value))
     others = "" if never or fewest > 1 else "while the other conditions were true, "
     negated = leaf.operator == "not_equal"
     if leaf.bound is not None:
@@ -161,7 +168,7 @@ def conditions(trace: Trace) -> Numbers | None:
         beside = [k for k, values in enumerate(trace.values) if steps and all(measure(o, values).holds for o in inner if o is not leaf)]
         step, best = nearest_moment(trace, leaf, beside)
         found.append({**best.as_json(), "step": step, "time": trace.time_at(step), "steps": steps, "beside_others": bool(beside)})
-        value, bound = _shown(leaf, best.value), _shown(leaf, best.bound or 0.0)
+        value, bound = _shown(trace, leaf, best.value), _shown(trace, leaf, best.bound or 0.0)
         during = " while the others were true" if beside and len(inner) > 1 else ""
         came = f" (nearest value{during}: {value} at {_seconds(trace.time_at(step))}, threshold {bound})" if leaf.bound else ""
         said.append(f"`{leaf.text}` was true in {steps} of {len(trace.values)} moments{came}")

@@ -129,10 +129,10 @@ def missed_condition(t: TrainingEvidence) -> Numbers | None:
     found = common_miss(failed)
     if found is None or not t.is_mature:
         return None
-    leaf, unit = found.condition, t.facts.written_unit(found.condition.unit, *reversed(found.condition.sides))
+    leaf, unit = found.condition, t.facts.units.of(found.condition.unit, *reversed(found.condition.sides))
     near = ""
     if found.nearest is not None and found.bound is not None:
-        value, bound = (quantity_text(each, leaf.unit, 3, written=unit) for each in (found.nearest, found.bound))
+        value, bound = (quantity_text(each, unit, 3) for each in (found.nearest, found.bound))
         near = f"; the nearest value is {value} in the median, and the threshold {bound}"
     terms = t.facts.terms_about(leaf.text)
     aim = f"`{leaf.sides[0]}` {SIGN_OF_OPERATOR[leaf.operator]} the threshold" if leaf.bound else f"`{leaf.text}`"

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import deepbots_cli
+from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.diagnostics.findings import Source as Text
@@ -294,6 +295,11 @@ class Report:
 
     # Figures
 
+    @property
+    def units(self) -> ShownUnits:
+        """The units in which the scenario writes its quantities."""
+        return self.runs[0].run.compiled.units
+
     def figures(self, theme: str) -> Iterator[tuple[str, str, Figure | None]]:
         """Name, caption and figure; None where there is nothing to draw."""
         logs, outcomes = [member.log for member in self.runs], [e for member in self.runs for e in member.evaluation.outcomes]
@@ -315,7 +321,7 @@ class Report:
         yield "shares", shares, figures.shares(logs, theme)
         yield "endings", f"How episodes of the training end. {mean}", figures.endings(logs, theme)
         colors = "green: success, orange: no success; " if defined else ""
-        effects = by_drawn_value(outcomes, draw_labels(self.runs[0].run.program))
+        effects = by_drawn_value(outcomes, draw_labels(self.runs[0].run.program, self.units))
         found = f"{effects.conclusion[:1].upper()}{effects.conclusion[1:]}."
         caption = (
             f"{found} Each point is an evaluation episode ({colors}{len(outcomes):,} in all). "

@@ -5,24 +5,18 @@ The causes of a training ask here before they advise a value of the observation,
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from functools import cached_property
 
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import comparisons
 from deepbots_cli.analysis.returns import is_progress, total_range
-from deepbots_cli.document.nodes import Node, inline_text, node_at
-from deepbots_cli.expressions.dimensions import Unit
+from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar
 from deepbots_cli.expressions.types import Known
-from deepbots_cli.expressions.written import MAX_TEXT, written_unit
 from deepbots_cli.insight.statements import quantity_text
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ObservedNumber
-
-_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:\.[A-Za-z_][A-Za-z0-9_]*)*")
-_DEFINITIONS = ("parameters", "signals", "augment")
 
 
 class ScenarioFacts:
@@ -30,12 +24,12 @@ class ScenarioFacts:
 
     Args:
         program: The scenario.
-        root: Its text, for the units of ranges; None where it cannot be read.
+        units: The units of its file.
     """
 
-    def __init__(self, program: Program, root: Node | None = None) -> None:
+    def __init__(self, program: Program, units: ShownUnits | None = None) -> None:
         self.program = program
-        self._root = root
+        self.units = units or ShownUnits()
 
     @cached_property
     def _analysis(self) -> Analysis:
@@ -124,15 +118,4 @@ class ScenarioFacts:
 
     def range_text(self, number: ObservedNumber, value: float) -> str:
         """A value of an observed number, given in SI units, in the unit of its range in the file."""
-        node = node_at(self._root, "observation", number.name) if self._root is not None else None
-        texts = [] if node is None else [inline_text(node)]
-        return quantity_text(value, number.unit, written=written_unit(number.unit, *texts))
-
-    def written_unit(self, unit: str, *texts: str) -> Unit | None:
-        """The unit of the file for a quantity in the SI unit `unit`, or None.
-
-        It is the first one in the texts that fits, then the first in the definitions of names in them.
-        """
-        names = [name for text in texts for name in _NAME.findall(text[:MAX_TEXT])]
-        nodes = [node_at(self._root, section, name) for name in names for section in _DEFINITIONS] if self._root else []
-        return written_unit(unit, *texts, *(inline_text(node) for node in nodes if node is not None))
+        return quantity_text(value, self.units.of_entry(number.full_name, number.unit))

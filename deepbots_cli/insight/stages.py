@@ -254,7 +254,7 @@ def some_starts_fail(t: TrainingEvidence) -> Numbers | None:
     if not is_flat and not t.final_episodes:  # they may still be learned
         return None
     source, done = _episodes_with_draws(t)
-    values = list(by_drawn_value(done, draw_labels(t.program)).values.values())
+    values = list(by_drawn_value(done, draw_labels(t.program, t.facts.units)).values.values())
     # A value whose middle fails has no trend, but its parts differ.
     differing = (value for value in values if value.has_effect or _chance(value.parts) < _CHANCE / len(values))
     chosen = next((value for value in differing if _is_apart(value.parts)), None)

@@ -9,9 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
-import numpy as np
-
-from deepbots_cli.expressions.dimensions import Unit
+from deepbots_cli.expressions.dimensions import ONE, Unit
 
 Numbers = Mapping[str, Any]
 T = TypeVar("T")
@@ -130,16 +128,9 @@ def _number_text(value: Any) -> str:
             return str(value)
 
 
-_DEGREES = {"rad": "deg", "rad/s": "deg/s", "rad/s^2": "deg/s^2"}
-
-
-def quantity_text(value: float, unit: str, digits: int = 4, *, written: Unit | None = None) -> str:
-    """`15.3 deg`: a number, given in SI units, in the unit in which the file writes it, else in the one that people use."""
-    if written is not None:
-        value, unit = value * written.divisor / written.scale, written.text
-    elif unit in _DEGREES:
-        value, unit = float(np.degrees(value)), _DEGREES[unit]
-    return f"{value:.{digits}g}{'' if unit in ('', '1') else f' {unit}'}"
+def quantity_text(value: float, unit: Unit, digits: int = 4) -> str:
+    """`15.3 deg`: a number, given in SI units, in a unit of `ShownUnits`."""
+    return f"{unit.from_si(value):.{digits}g}{'' if unit.text == ONE.text else f' {unit.text}'}"
 
 
 MAX_LISTED = 4

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli import api
+from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.insight.conditions import InstrumentedProgram, MeasuredComparison, StepValues, deciding_comparison, instrument_program
@@ -58,6 +59,8 @@ class Trace:
     agent: str = ""
     critic: Array | None = None
     notes: Sequence[str] = ()
+    units: ShownUnits = field(default_factory=ShownUnits)
+    """Those of the file of the scenario."""
 
     @property
     def program(self) -> Program:
@@ -93,9 +96,9 @@ class Trace:
 class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
     """A world that notes each step of an episode; a reset begins anew. The wrapper closes the world."""
 
-    def __init__(self, world: Supervisor, instrumented: InstrumentedProgram) -> None:
+    def __init__(self, world: Supervisor, instrumented: InstrumentedProgram, units: ShownUnits | None = None) -> None:
         super().__init__(world)
-        self.world, self.instrumented = world, instrumented
+        self.world, self.instrumented, self.units = world, instrumented, units or ShownUnits()
         self.observations: list[Any] = []
         self.actions: list[Any] = []
         self._terms: list[list[Mapping[str, float]]] = []
@@ -143,6 +146,7 @@ class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
             error=error,
             agent=names[row] if team else "",
             notes=notes,
+            units=self.units,
         )
 
 
@@ -172,7 +176,7 @@ def trace_episodes(
     if not run.model(model).is_file():
         raise RunError(f"{run.path} contains no model '{model}'; train it first, with: deepbots train --resume {run.path}")
     watch = instrument_program(run.program)
-    with torch_settings(), closing(_world(watch, run.engine_for(run.program), permissions)) as world:
+    with torch_settings(), closing(_world(watch, run.engine_for(run.program), permissions, run.compiled.units)) as world:
         policy = evaluation.load_model(run, model, world)
         for number in numbers:
             play(world, PolicyDriver(policy, world, deterministic=deterministic), Start.of_evaluation(seed, number))
@@ -183,8 +187,8 @@ def trace_episodes(
             yield trace
 
 
-def _world(watch: InstrumentedProgram, engine: str | None, permissions: Permissions) -> TraceRecorder:
-    return TraceRecorder(api.build(watch.program, engine=engine, permissions=permissions), watch)
+def _world(watch: InstrumentedProgram, engine: str | None, permissions: Permissions, units: ShownUnits) -> TraceRecorder:
+    return TraceRecorder(api.build(watch.program, engine=engine, permissions=permissions), watch, units)
 
 
 # Recordings and failures
@@ -199,7 +203,8 @@ def trace_recorded(opened: ShowingState, episodes: Sequence[RecordedEpisode]) ->
     """
     recording: Recording = opened.recording
     assert opened.program is not None  # a recording that does not compile is refused when it is opened
-    with closing(_world(instrument_program(opened.program), opened.shown.engine, opened.shown.permissions)) as world:
+    shown, units = opened.shown, opened.checked().units
+    with closing(_world(instrument_program(opened.program), shown.engine, shown.permissions, units)) as world:
         for recorded in episodes:
             again = steps(world, sequence_driver(actions(recording, recorded, world.action_space)), Start(recorded.seed))
             for place in range(len(recorded.steps)):
@@ -222,7 +227,7 @@ def trace_failure(path: Path, *, permissions: Permissions = Permissions()) -> Tr
     """
     failure, run, program = failures.read_failure(path)
     error = ""
-    with closing(_world(instrument_program(program), run.record.engine, permissions)) as world:
+    with closing(_world(instrument_program(program), run.record.engine, permissions, run.compiled.units)) as world:
         try:
             for _ in failures.repeat_steps(failure, program, world, path):
                 pass

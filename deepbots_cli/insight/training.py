@@ -113,8 +113,7 @@ class TrainingEvidence:
     @cached_property
     def facts(self) -> ScenarioFacts:
         """What the scenario of the present stage has."""
-        document = self.run.compiled.document
-        return ScenarioFacts(self.program, None if document is None else document.root)
+        return ScenarioFacts(self.program, self.run.compiled.units)
 
     @property
     def scenario_argument(self) -> str:
@@ -324,7 +323,7 @@ def run_probes(
     run, deadline = training.run, time.monotonic() + seconds
     seeds = [derive_seed(run.record.seed, "diagnosis", number) for number in range(PROBE_EPISODES)]
     watch = instrument_program(training.program, include_observation=True)
-    world = TraceRecorder(api.build(watch.program, engine=run.record.engine, permissions=permissions), watch)
+    world = TraceRecorder(api.build(watch.program, engine=run.record.engine, permissions=permissions), watch, run.compiled.units)
     with torch_settings(), closing(world):
         constant = _constant(world.world)
         idle = idle_action(training.program.agent.action)

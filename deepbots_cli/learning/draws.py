@@ -16,6 +16,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, UNBOUNDED, Interval, Summary
 from deepbots_cli.program import Program
@@ -61,9 +62,9 @@ class DrawLabel(NamedTuple):
         return " .. ".join(ends) + unit
 
 
-def draw_labels(program: Program) -> dict[str, DrawLabel]:
-    """The label of each draw of a scenario, by its name without the copy of a robot."""
-    return {entry.name: DrawLabel(entry.unit or ONE, entry.is_parameter) for entry in program.draws.entries}
+def draw_labels(program: Program, units: ShownUnits) -> dict[str, DrawLabel]:
+    """The label of each draw of a scenario, by its name without the copy of a robot; `units` are those of its file."""
+    return {entry.name: DrawLabel(entry.unit or units.of(entry.si), entry.is_parameter) for entry in program.draws.entries}
 
 
 @dataclass(frozen=True)

@@ -484,7 +484,7 @@ class _Setting:
             deterministic=deterministic,
             notes=tuple(notes),
             outcomes=tuple(done),
-            draws=draw_labels(program),
+            draws=draw_labels(program, (self.judged or run.compiled).units),
             return_bounds=(low if low > -math.inf else None, high if high < math.inf else None),
         )
 

@@ -10,12 +10,12 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypedDict
 
-from deepbots_cli.expressions.dimensions import LENGTH, NUMBER, Unit
+from deepbots_cli.expressions.dimensions import NUMBER, Unit
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.scalar import Const, Draw, Scalar, is_drawn, names_in, walk
-from deepbots_cli.expressions.types import Invocation, written_unit
+from deepbots_cli.expressions.types import Invocation, Typed, written_unit
 from deepbots_cli.expressions.types import walk as walk_typed
 from deepbots_cli.program.resets import (
     Cells,
@@ -35,7 +35,16 @@ if TYPE_CHECKING:
     from deepbots_cli.program import Program
 
 _PLANE = ("x", "y")
-_METER = Unit("m", LENGTH)
+
+
+class _Units(TypedDict):
+    """The SI unit of a draw, and the unit in which the scenario writes it."""
+
+    si: str
+    unit: Unit | None
+
+
+_SI = _Units(si="1", unit=None)
 _FACTOR = Unit("(factor)", NUMBER)
 """Of a number by which the scenario multiplies another one, as in `urdf * uniform(0.9 .. 1.1)`."""
 
@@ -46,7 +55,8 @@ class EpisodeDraw(NamedTuple):
     `key` is the name under which the runtime notes it. `tree` computes a number; a position that is looked for lies from `low` to `high`;
     a word is one of `words`. With copies of a robot, the draw may be one for each copy. It may change within the episode.
 
-    `unit` is the unit in which the scenario writes a number; `is_parameter` holds for parameters of the scenario.
+    `si` is the SI unit of a number, and `unit` the unit in which the scenario writes it, None where it writes none. `is_parameter` holds
+    for parameters of the scenario.
     """
 
     name: str
@@ -57,6 +67,7 @@ class EpisodeDraw(NamedTuple):
     high: float = math.inf
     is_of_copy: bool = False
     changes: bool = False
+    si: str = "1"
     unit: Unit | None = None
     is_parameter: bool = False
 
@@ -126,13 +137,13 @@ class EpisodeDraws:
         for value in self.program.parameters:
             if value.redraw is not None or _reads(value, changing):
                 changing.add(value.name)
-            parameter = EpisodeDraw("", "", changes=value.name in changing, unit=written_unit(value.typed), is_parameter=True)
+            parameter = EpisodeDraw("", "", changes=value.name in changing, **_units(value.typed), is_parameter=True)
             yield from ((None, parameter._replace(name=full, key=full, tree=tree)) for full, tree in value.numbers if is_drawn(tree))
-        units = {name: written_unit(value.typed) for name, value in reset.expressions}
+        units = {name: _units(value.typed) for name, value in reset.expressions}
         for named in reset.drawn:
             body = None if named.name.startswith("reset.layouts.") else named.name.split(".")[2]
-            unit = units.get(named.name)
-            yield from ((body, EpisodeDraw(full, full, tree, unit=unit)) for full, tree in named.numbers if is_drawn(tree))
+            unit = units.get(named.name, _SI)
+            yield from ((body, EpisodeDraw(full, full, tree, **unit)) for full, tree in named.numbers if is_drawn(tree))
         for spec in self.program.robots:
             for route in (spec.to_route, spec.from_route):
                 lasting = (value for _, value in route.settings if value.redraw is None and not _reads(value, changing))
@@ -155,7 +166,11 @@ class EpisodeDraws:
         arranged = (("reset.place", reset.placements), *((f"reset.layouts.{layout.name}", layout.placements) for layout in reset.layouts))
         for path, places in arranged:
             for place in places:
-                yield from ((place.body, entry) for entry in _places(path, place, groups.get(place.body)))
+                yield from ((place.body, entry) for entry in _places(path, place, groups.get(place.body), units))
+
+
+def _units(value: Typed) -> _Units:
+    return _Units(si=str(value.type.dimension), unit=written_unit(value))
 
 
 def _reads(value: Expression, names: set[str]) -> bool:
@@ -165,14 +180,14 @@ def _reads(value: Expression, names: set[str]) -> bool:
 def _draws(value: Expression, name: str | None = None) -> Iterator[EpisodeDraw]:
     """The draws in an expression, each under the name of the component that it is for."""
     components = value.per_component or value.components
-    units: dict[int | None, Unit] = {}
+    units: dict[int | None, _Units] = {}
     for call in walk_typed(value.typed):
         if isinstance(call, Invocation) and FUNCTIONS[call.function].family is Family.DRAW:
             is_factor = call.type.dimension == NUMBER != value.typed.type.dimension
-            units[call.occurrence] = _FACTOR if is_factor else written_unit(call)
+            units[call.occurrence] = _Units(si="1", unit=_FACTOR) if is_factor else _units(call)
     for entry in _named(numbers(name or value.owner, tuple(filter(None, components)), value.scalars)):
         occurrence = re.search(r"#(\d+)", entry.key.removeprefix(value.owner))
-        yield entry._replace(unit=units.get(int(occurrence[1])) if occurrence else None)
+        yield entry._replace(**units.get(int(occurrence[1]), _SI) if occurrence else _SI)
 
 
 def _named(trees: Iterator[tuple[str, Scalar]], member: str = "") -> Iterator[EpisodeDraw]:
@@ -195,8 +210,8 @@ def _name(variation: RandomizedParameter) -> str:
     return ".".join(path)
 
 
-def _places(path: str, place: Placement, group: ObjectGroup | None) -> Iterator[EpisodeDraw]:
-    """Positions that are looked for, and what is drawn for each member of a group."""
+def _places(path: str, place: Placement, group: ObjectGroup | None, units: Mapping[str, _Units]) -> Iterator[EpisodeDraw]:
+    """Positions that are looked for, and what is drawn for each member of a group; `units` are those of coordinates with a value."""
     bounds = _bounds(place, group)
     for body in group.copies if group else (place.body,):
         member, here = body if group else "", f"{path}.{body}"
@@ -206,11 +221,14 @@ def _places(path: str, place: Placement, group: ObjectGroup | None) -> Iterator[
             trees += [pair for key, values in place.velocities for pair in numbers(f"{here}.{key}", ("x", "y", "z"), values)]
             if not bounds and not any(is_drawn(tree) for _, tree in trees):
                 return
-            yield from _named(iter(trees), member)
+            for entry in _named(iter(trees), member):
+                of_group = f"{path}.{place.body}{entry.name.removeprefix(here).partition('#')[0]}"
+                si = "m" if of_group.endswith((".x", ".y", ".z")) else "rad"
+                yield entry._replace(**units.get(of_group, units.get(of_group.rpartition(".")[0], _Units(si=si, unit=None))))
         for axis, (low, high) in zip(_PLANE, bounds, strict=False):
             stream = f"{place.stream}.{axis}"
             key = key_of_member(member, stream) if member else stream
-            yield EpisodeDraw(f"{here}.{axis}", key, low=low, high=high, unit=_METER)
+            yield EpisodeDraw(f"{here}.{axis}", key, low=low, high=high, si="m")
 
 
 def _bounds(place: Placement, group: ObjectGroup | None) -> Sequence[tuple[float, float]]:

@@ -37,7 +37,7 @@ class BatchPlayer(Player):
 
     def _reader(self) -> FrameReader:
         if self.world not in self._readers:
-            self._readers[self.world] = FrameReader(self.env)
+            self._readers[self.world] = FrameReader(self.env, self.opened.checked().units)
         return self._readers[self.world]
 
     def set_driver(self, name: str) -> None:

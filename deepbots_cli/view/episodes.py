@@ -253,7 +253,7 @@ class Player:
         return api.build(program, engine=shown.engine or (run.engine_for(program) if run else None), permissions=shown.permissions)
 
     def _reader(self) -> FrameReader:
-        return FrameReader(self.env)
+        return FrameReader(self.env, self.opened.checked().units)
 
     def set_driver(self, name: str) -> None:
         """Let another driver act from the next step on.

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli import frames
+from deepbots_cli.analysis.shown_units import ShownUnits
+from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program import Program
@@ -39,7 +41,8 @@ _DOWNWARD = frames.quaternion(0.0, np.pi / 2, 0.0)  # turns x to -z: the directi
 
 class PlottedField(NamedTuple):
     """A number that is plotted, with its range. `group` is the entry of the scenario that it belongs to; `options` are the names of the
-    options of a choice, whose number is the index of an option."""
+    options of a choice, whose number is the index of an option. Values are in the SI unit `unit`, and shown in the unit `shown`, None for
+    the SI unit."""
 
     name: str
     group: str
@@ -47,20 +50,31 @@ class PlottedField(NamedTuple):
     high: float
     unit: str
     options: tuple[str, ...] = ()
-
-    @property
-    def shown_unit(self) -> tuple[str, float]:
-        """The unit that a person sees, and how many of it are one `unit`: angles are in degrees, as in scenarios."""
-        if self.unit in ("rad", "rad/s"):
-            return self.unit.replace("rad", "deg"), math.degrees(1.0)
-        return "" if self.unit == "1" else self.unit, 1.0
+    shown: Unit | None = None
 
     def text(self, value: float) -> str:
         """The value in words: the name of an option, or a number with its unit."""
         if self.options:
             return self.options[round(value)]
-        unit, scale = self.shown_unit
-        return f"{scale * value:.3g} {unit}".strip()
+        return f"{self.to_shown(value):.3g}{self._shown_unit and f' {self._shown_unit}'}"
+
+    @property
+    def label(self) -> str:
+        """`yaw (deg)`: the name with the unit of `to_shown`."""
+        return f"{self.name}{self._shown_unit and f' ({self._shown_unit})'}"
+
+    @property
+    def _shown_unit(self) -> str:
+        text = self.unit if self.shown is None else self.shown.text
+        return "" if text == ONE.text else text
+
+    def to_shown(self, value: float) -> float:
+        """A value in SI units in the unit in which it is shown."""
+        return value if self.shown is None else self.shown.from_si(value)
+
+    def from_shown(self, value: float) -> float:
+        """The SI value of a value in the unit in which it is shown."""
+        return value if self.shown is None else self.shown.to_si(value)
 
 
 class SensorRays(NamedTuple):
@@ -171,7 +185,7 @@ class WorldFrame:
         return f"{'success' if self.is_success else 'time limit' if self.truncated else 'failure'}: {self.ended_by}"
 
 
-def observation_fields(program: Program) -> tuple[PlottedField, ...]:
+def observation_fields(program: Program, units: ShownUnits) -> tuple[PlottedField, ...]:
     """The numbers of the newest observation, then those of the goal."""
     agent = program.agent
     named = [PlottedField(n.full_name, n.name, 0.0 if n.is_truth else n.low, 1.0 if n.is_truth else n.high, n.unit) for n in agent.numbers]
@@ -179,10 +193,10 @@ def observation_fields(program: Program) -> tuple[PlottedField, ...]:
         for word in ("achieved", "desired"):
             ends = zip(goal.components or ("",), goal.low, goal.high, strict=True)
             named += [PlottedField(f"{word}.{part}".rstrip("."), word, low, high, goal.unit) for part, low, high in ends]
-    return tuple(named)
+    return tuple(field._replace(shown=units.of_entry(field.name, field.unit)) for field in named)
 
 
-def action_fields(program: Program) -> tuple[PlottedField, ...]:
+def action_fields(program: Program, units: ShownUnits) -> tuple[PlottedField, ...]:
     """A field for each choice and for each component of a range, choices and ranges in file order."""
     found = []
     for part in program.agent.action:
@@ -190,17 +204,18 @@ def action_fields(program: Program) -> tuple[PlottedField, ...]:
             names = tuple(option.name for option in part.options)
             found.append(PlottedField(part.name, part.name, 0.0, len(names) - 1.0, "", names))
         else:
-            found += [PlottedField(name, part.name, part.low, part.high, part.unit) for name in part.names]
+            unit = units.of_entry(part.name, part.unit)
+            found += [PlottedField(name, part.name, part.low, part.high, part.unit, shown=unit) for name in part.names]
     return tuple(found)
 
 
 class MessageRecorder:
     """In the place of the `FieldCodec` of a channel, remembers what was received last."""
 
-    def __init__(self, wire: FieldCodec) -> None:
+    def __init__(self, wire: FieldCodec, units: ShownUnits) -> None:
         self._wire, self.layout, self.silence, self.encode = wire, wire.layout, wire.silence, wire.encode
         self.fields = tuple(
-            PlottedField(name, field.name, math.nan, math.nan, field.unit)
+            PlottedField(name, field.name, math.nan, math.nan, field.unit, shown=units.of_entry(f"{wire.layout.robot}.{name}", field.unit))
             for field in wire.layout.fields
             for name in ([f"{field.name}.{part}" for part in field.components] or [field.name])
         )
@@ -226,8 +241,9 @@ class MessageRecorder:
 class FrameReader:
     """Reads frames of one environment, one after each reset and each step: it adds up the returns."""
 
-    def __init__(self, env: Supervisor) -> None:
-        self.env = env
+    def __init__(self, env: Supervisor, units: ShownUnits | None = None) -> None:
+        """Bind the readers; `units` are those of the file, in which fields are shown."""
+        self.env, units = env, units or ShownUnits()
         program, engine, world = env.scenario, env.engine, env.world
         copies = program.agent.copies
         models = {robot.name: robot.model for robot in world.robots}
@@ -254,7 +270,7 @@ class FrameReader:
         for copy, agent in env.agents.items():
             for (name, direction), channel in agent.channels.items():
                 assert channel.wire is not None  # only those of tests have none
-                tap = MessageRecorder(channel.wire)
+                tap = MessageRecorder(channel.wire, units)
                 channel.wire = cast("FieldCodec", tap)
                 self._message_recorders[f"{called(name, copy)}/{direction}"] = channel, tap
         beams = {
@@ -264,7 +280,7 @@ class FrameReader:
             if sensor.beams and sensor.subjects[0] in {link.name for link in models[body].links}
         }
         self.layout = FrameLayout(
-            observation_fields(program), action_fields(program), tuple(term.name for term in program.agent.reward), models,
+            observation_fields(program, units), action_fields(program, units), tuple(term.name for term in program.agent.reward), models,
             {key: found for key, (found, _) in beams.items()}, {key: tap.fields for key, (_, tap) in self._message_recorders.items()},
         )  # fmt: skip
         self._rays = {key: engine.rays(found.part, rays, found.reach) for key, (found, rays) in beams.items()}

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
+from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.frames import Frame
 from deepbots_cli.rollout.drivers import ROBOT
 from deepbots_cli.rollout.robot_logs import LoggedStep, RobotLog
@@ -58,8 +59,9 @@ class LogPlayer(ReplayPlayer):
     def _reader(self) -> FrameReader:
         reader, info = super()._reader(), self.log.info
         every = [step for episode in self.log.episodes for step in episode.steps]
-        self._inputs = list(_columns(info.inputs, [step.inputs for step in every]))
-        self._commands = list(_columns(info.outputs, [step.commands for step in every]))
+        units = self.opened.checked().units
+        self._inputs = list(_columns(info.inputs, [step.inputs for step in every], units))
+        self._commands = list(_columns(info.outputs, [step.commands for step in every], units))
         self._aged = [entry.name for entry in info.inputs if entry.max_age_s is not None]
         longest = 1e3 * max((age for step in every for age in (step.answer, *step.ages.values()) if math.isfinite(age)), default=0.0)
         times = ("answer time", *(f"age of {name}" for name in self._aged))
@@ -181,7 +183,7 @@ class LogPlayer(ReplayPlayer):
                     engine.set_joint(robot.name, joint.name, joints[robot.name, joint.name], 0.0)
 
 
-def _columns(entries: Sequence[Input | Output], rows: Sequence[Values]) -> Iterator[_Column]:
+def _columns(entries: Sequence[Input | Output], rows: Sequence[Values], units: ShownUnits) -> Iterator[_Column]:
     """The numbers of inputs or outputs but for pictures, each with its range, or that of its values where it has none."""
     for entry in entries:
         if len(entry.shape) > 1 or entry.shape[0] > _MAX_NUMBERS:
@@ -189,7 +191,8 @@ def _columns(entries: Sequence[Input | Output], rows: Sequence[Values]) -> Itera
         names = entry.components or entry.joints or [str(place) for place in range(entry.shape[0])]
         for place in range(entry.shape[0]):
             name = f"{entry.name}.{names[place]}" if entry.shape[0] > 1 and place < len(names) else entry.name
-            column = _Column(entry.name, place, PlottedField(name, entry.name, math.nan, math.nan, entry.unit))
+            unit = units.of_entry(entry.name, entry.unit)
+            column = _Column(entry.name, place, PlottedField(name, entry.name, math.nan, math.nan, entry.unit, shown=unit))
             values = [value for row in rows if math.isfinite(value := column.of(row))] or [0.0]
             low, high = (ends[place] for ends in entry.range) if entry.range is not None else (None, None)
             ends = min(values) if low is None else low, max(values) if high is None else high

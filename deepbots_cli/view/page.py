@@ -396,8 +396,8 @@ class Page:
         gui, layout = self.server.gui, self.panels[self._agent[0]].player.reader.layout
         fields: dict[str, list[tuple[PlottedField, PlottedValue]]] = {}
         for number, each in enumerate(layout.observation):
-            fields.setdefault(each.group, []).append((each, partial(_observation_value, number)))
-        fields |= {f"action: {each.name}": [(each, partial(_action_value, number))] for number, each in enumerate(layout.action)}
+            fields.setdefault(each.group, []).append((each, partial(_observation_value, number, each)))
+        fields |= {f"action: {each.name}": [(each, partial(_action_value, number, each))] for number, each in enumerate(layout.action)}
         self._plots = {}
         for group in layout.of_robot:
             gui.add_html(panel.heading(group))
@@ -424,8 +424,8 @@ class Page:
 
     def _add_fields(self, fields: Sequence[tuple[PlottedField, PlottedValue]]) -> Any:
         """An empty plot of the first of these numbers, over their range."""
-        limits = min(field.low for field, _ in fields), max(field.high for field, _ in fields)
-        return self._add_plot([f.name for f, _ in fields[:_MAX_SERIES]], 220, [value for _, value in fields[:_MAX_SERIES]], limits=limits)
+        limits = min(field.to_shown(field.low) for field, _ in fields), max(field.to_shown(field.high) for field, _ in fields)
+        return self._add_plot([f.label for f, _ in fields[:_MAX_SERIES]], 220, [value for _, value in fields[:_MAX_SERIES]], limits=limits)
 
     def _add_plot(
         self,
@@ -472,11 +472,9 @@ class Page:
                 group = gui.add_button_group(field.name, field.options)
                 group.on_click(lambda event, f=field: self._command(f.name, f.options.index(event.target.value)))
             else:
-                unit, scale = field.shown_unit
-                label = f"{field.name} ({unit})" if unit else field.name
-                low, high, value = (scale * each for each in (field.low, field.high, hand.base_values[field.name]))
-                slider = gui.add_slider(label, min=low, max=high, step=(high - low) / 200, initial_value=value)
-                slider.on_update(lambda event, f=field, scale=scale: self._command(f.name, event.target.value / scale))
+                low, high, value = map(field.to_shown, (field.low, field.high, hand.base_values[field.name]))
+                slider = gui.add_slider(field.label, min=low, max=high, step=(high - low) / 200, initial_value=value)
+                slider.on_update(lambda event, f=field: self._command(f.name, f.from_shown(event.target.value)))
         for name, bindings in list(hand.bindings.items())[:2]:
             for keys, sign in ((bindings[0].positive_keys, "+"), (bindings[0].negative_keys, "−")):
                 gui.add_button(f"press and hold: {name} {sign}").on_hold(
@@ -730,12 +728,12 @@ class Page:
         return frame.agents.get(self._agent[1]) or next(iter(frame.agents.values()))
 
 
-def _observation_value(number: int, agent: AgentFrame) -> float:
-    return agent.observation[number]
+def _observation_value(number: int, field: PlottedField, agent: AgentFrame) -> float:
+    return field.to_shown(agent.observation[number])
 
 
-def _action_value(number: int, agent: AgentFrame) -> float:
-    return agent.action[number] if agent.action else math.nan
+def _action_value(number: int, field: PlottedField, agent: AgentFrame) -> float:
+    return field.to_shown(agent.action[number]) if agent.action else math.nan
 
 
 def _term_value(term: str, agent: AgentFrame) -> float:

@@ -315,14 +315,13 @@ def test_a_parameter_in_the_observation_is_no_sensor_that_detects_nothing(tmp_pa
 
 def test_a_value_is_shown_in_the_unit_of_the_file(tmp_path):
     compiled = api.compile("cartpole", overrides=["observation.x=-40 .. 40 cm", "parameters.fall_angle=0.2 rad"])
-    facts = ScenarioFacts(compiled.program, compiled.document.root)
+    facts = ScenarioFacts(compiled.program, compiled.units)
     numbers = {number.full_name: number for number in compiled.program.agent.numbers}
     assert facts.range_text(numbers["x"], 0.25) == "25 cm"
     assert facts.range_text(numbers["cart.pole_angle"], np.pi / 6) == "30 deg"
-    assert facts.written_unit("rad", "abs(cart.pole_angle)", "fall_angle") == UNITS["rad"]
-    assert facts.written_unit("m/s", "3 mm/s").text == "mm/s"
-    assert quantity_text(0.003, "m/s", written=facts.written_unit("m/s", "3 mm/s")) == "3 mm/s"
-    assert facts.written_unit("m", "no unit") is None
+    assert facts.units.of("rad", "abs(cart.pole_angle)", "fall_angle") == UNITS["rad"]
+    assert quantity_text(0.003, facts.units.of("m/s", "3 mm/s")) == "3 mm/s"
+    assert facts.units.of("m", "no unit").text == "m"
 
 
 # One verdict

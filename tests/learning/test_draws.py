@@ -13,6 +13,11 @@ from deepbots_cli.rollout import Episode
 RISE = {"rise": DrawLabel(is_parameter=True)}
 
 
+def _labels(name: str) -> dict[str, DrawLabel]:
+    compiled = compile(name)
+    return draw_labels(compiled.program, compiled.units)
+
+
 def _logit(rate: float) -> float:
     return float(np.log(rate / (1 - rate)))
 
@@ -146,11 +151,11 @@ def test_a_draw_that_is_no_number_in_a_damaged_log_is_left_out() -> None:
 
 
 def test_values_have_the_units_of_the_scenario_and_a_drawn_factor_is_called_one() -> None:
-    labels = draw_labels(compile("quadruped").program)
+    labels = _labels("quadruped")
     assert labels["robots.dog.links.trunk.mass"].unit.text == "(factor)"
-    hinge = draw_labels(compile("cartpole").program)["reset.joints.cart.pole_hinge"]
+    hinge = _labels("cartpole")["reset.joints.cart.pole_hinge"]
     assert (hinge.unit.text, hinge.is_parameter) == ("deg", False)
-    assert draw_labels(compile("panda_push").program)["mark.x"].is_parameter
+    assert _labels("panda_push")["mark.x"].is_parameter
     done = [Episode(0.0, 1, k >= 5, None, drawn={"hinge": np.radians(k)}) for k in range(5)]
     part = by_drawn_value(done, {"hinge": hinge}).values["hinge"].parts[3]
     assert hinge.range_text(part) == "3 deg"

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import deepbots_cli
+from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.errors import UsageError
 from deepbots_cli.rollout.drivers import HAND, RANDOM, ZERO
 from deepbots_cli.view.episodes import Player, Showing
@@ -142,10 +143,10 @@ def test_a_push_is_in_the_frames_while_it_lasts():
 
 def test_fields_have_units_ranges_and_options():
     program = deepbots_cli.compile("find_ball").program
-    angle = observation_fields(program)[-1]
+    angle = observation_fields(program, ShownUnits())[-1]
     assert (angle.name, angle.unit, round(angle.high, 3)) == ("angle", "rad", 3.142)
-    assert [field.name for field in action_fields(program)] == ["gas", "wheel"]
-    (choice,) = action_fields(deepbots_cli.compile("cartpole").program)
+    assert [field.name for field in action_fields(program, ShownUnits())] == ["gas", "wheel"]
+    (choice,) = action_fields(deepbots_cli.compile("cartpole").program, ShownUnits())
     assert choice.text(1.0) == choice.options[1]
 
 

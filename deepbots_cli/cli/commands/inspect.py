@@ -15,14 +15,12 @@ from deepbots_cli.analysis.deployment import Deployment
 from deepbots_cli.cli import inspection, terminal
 from deepbots_cli.cli.command import Case, EngineOrRun, Overrides, Stage, option
 from deepbots_cli.cli.sources import is_robot, open_robot, open_source
-from deepbots_cli.cli.tables import Row, row_as_lines, table
+from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.diagnostics.render import summary
-from deepbots_cli.document import MappingNode, Permissions, inline_text, shipped
+from deepbots_cli.document import MappingNode, Permissions, shipped
 from deepbots_cli.document.load import with_settings_at
-from deepbots_cli.document.nodes import node_at
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError
-from deepbots_cli.expressions.written import written_unit
 from deepbots_cli.program import Program
 
 if TYPE_CHECKING:
@@ -31,7 +29,7 @@ if TYPE_CHECKING:
 _CAPTIONS = {
     "observation": "low .. high is mapped to the range in `seen_as`; values outside are clipped",
     "poses": "end links of the robots at the start of the episode with seed 0, in the world frame",
-    "drawn": "values that each reset draws, in SI units",
+    "drawn": "values that each reset draws",
     "hyperparameters": "`from` names the source of each value: the scenario, or the default of deepbots or of the library",
     "timing": "the physics step of each action and measurement, for step n = 0, 1, ... of the agent; the first physics step is 1",
 }
@@ -95,7 +93,7 @@ def command(
     if full or as_json:
         tables = {**tables, **_poses(program, engine or (side.run.engine_for(program) if side.run else None), permissions)}
     shown = {name: rows for name, rows in tables.items() if full or name in _BRIEF}
-    terminal.show(tables, *_lines(shown if as_json else _in_written_units(shown, root)), as_json=as_json)
+    terminal.show(tables, *_lines(shown if as_json else inspection.in_written_units(shown, program, root)), as_json=as_json)
     if len(shown) < len(tables) and not as_json:
         terminal.note(f"--full also shows: {', '.join(name.replace('_', ' ') for name in tables if name not in shown)}")
 
@@ -108,26 +106,6 @@ def _topics(program: Program) -> dict[str, Topic]:
         raise MissingExtraError("robot", "--ros") from error
     needed = {*Deployment(program).unmeasured, *(field.name for field in (*sensor_fields(program), *command_fields(program)))}
     return {name: topic for name, topic in mapping(program).items() if name in needed}
-
-
-def _in_written_units(tables: inspection.Tables, root: MappingNode) -> inspection.Tables:
-    """The tables with the ranges of observations and actions in the units of the file, such as deg; JSON has SI units."""
-
-    def converted(section: str, row: Row) -> Row:
-        node = node_at(root, section, str(row.get("name", row.get("action", ""))))
-        unit = written_unit(str(row.get("unit", "")), inline_text(node)) if node is not None else None
-        low, high = row.get("low"), row.get("high")
-        if unit is None or not isinstance(low, float) or not isinstance(high, float):
-            return row
-        ends = {key: float(f"{unit.from_si(end):.10g}") for key, end in (("low", low), ("high", high))}
-        return {**row, **ends, "unit": unit.text}
-
-    ranges: inspection.Tables = {
-        section: [converted(section, row) for row in rows]
-        for section, rows in tables.items()
-        if section in ("observation", "action") and isinstance(rows, list)
-    }
-    return {**tables, **ranges}
 
 
 def _ros_text(topics: Mapping[str, Topic]) -> str:

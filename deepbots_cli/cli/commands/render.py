@@ -189,7 +189,8 @@ def command(
     kind = _checked_kind(file, [name for name, value in given.items() if value])
     from deepbots_cli.view import pictures
 
-    shot = pictures.Viewpoint(*(size or _DEFAULT_SIZES.get(kind, (480, 320))), eye, target, follow)
+    width, height = size or _DEFAULT_SIZES.get(kind, (480, 320))
+    shot = pictures.Viewpoint(width, height, eye, target, follow)
     if is_robot(shown):
         of_episodes = [value for name, value in given.items() if name not in ("--size", "--from", "--at")]
         if kind != PICTURE or any((*of_episodes, driver, seed, episode, overrides, case, stage)):

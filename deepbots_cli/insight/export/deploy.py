@@ -35,7 +35,7 @@ def deploy_settings(program: Program) -> dict[str, Any]:
     """The content of `deploy.yaml`; joints are in the order of the action, but for gains, which are in the order of the robot file.
 
     Raises:
-        UsageError: A runner cannot compute the observation or the commands of the scenario, or keep the memory of its policy; names the part.
+        UsageError: A runner cannot compute the observation or the commands of the scenario, or keep the memory of its policy.
     """
     agent = program.agent
     algorithm = ALGORITHMS.get(agent.training.algorithm) if agent.training is not None else None

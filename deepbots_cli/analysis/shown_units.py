@@ -1,0 +1,77 @@
+"""In which unit each quantity of a scenario is shown: the one in which its file writes it.
+
+Programs, messages, recordings and JSON have SI units. Tables, sentences, pages and figures ask `ShownUnits`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping
+from functools import cached_property
+
+from deepbots_cli.document.nodes import Node, ScalarNode, inline_text, node_at, walk
+from deepbots_cli.expressions.dimensions import Unit
+from deepbots_cli.expressions.written import MAX_TEXT, unit_named, units_in, usual_unit, written_unit
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:\.[A-Za-z_][A-Za-z0-9_]*)*")
+_DEFINITIONS = ("parameters", "signals", "augment")
+_RANGES = ("observation", "action")
+_GOALS = ("goal", "achieved", "desired")
+
+
+class ShownUnits:
+    """The units of the quantities of one scenario.
+
+    Args:
+        root: The text of the scenario; None where it is unknown.
+    """
+
+    def __init__(self, root: Node | None = None) -> None:
+        self._root = root
+
+    def of(self, unit: str, *texts: str) -> Unit:
+        """The unit in which a quantity with the SI unit `unit` is shown; `texts` are what the file says of it.
+
+        It is the first unit in the texts that fits, or else the first in the definitions of the names in them. An angle whose texts
+        have no unit is shown in the unit that the file uses most for angles. Anything else has its usual unit.
+        """
+        names = [name for text in texts for name in _NAME.findall(text[:MAX_TEXT])]
+        nodes = [node_at(self._root, section, name) for name in names for section in _DEFINITIONS]
+        definitions = [inline_text(node) for node in nodes if node is not None]
+        return written_unit(unit, *texts, *definitions) or self._of_angles.get(unit) or self._usual(unit)
+
+    def of_entry(self, name: str, unit: str) -> Unit:
+        """The unit of a number of the observation, the action or the goal, such as `robot.sensor.x`."""
+        section, _, rest = name.partition(".")
+        if section in _GOALS and node_at(self._root, "goal") is not None:
+            return self.of(unit, *self._text("goal", "range"))
+        for key in (name, name.rpartition(".")[0], rest, rest.rpartition(".")[0]):
+            texts = [text for each in _RANGES for text in self._text(each, key)] if key else []
+            if texts:
+                return self.of(unit, *texts)
+        return self.of(unit)
+
+    def _text(self, *path: str) -> list[str]:
+        """The text at a path of the scenario; none where there is nothing."""
+        node = node_at(self._root, *path)
+        return [] if node is None else [inline_text(node)]
+
+    def _usual(self, unit: str) -> Unit:
+        """The usual unit; radians where the file writes all of its angles in radians."""
+        angle = self._of_angles.get("rad")
+        return unit_named(unit) if angle is not None and angle.text == "rad" else usual_unit(unit)
+
+    @cached_property
+    def _of_angles(self) -> Mapping[str, Unit]:
+        """The unit that the file uses most for angles, for angular velocities, and so on, by their SI units."""
+        nodes = [] if self._root is None else [node for _, node in walk(self._root)]
+        counts = Counter(
+            unit
+            for node in nodes
+            if isinstance(node, ScalarNode)
+            for unit in units_in(inline_text(node))
+            if unit.dimension.rad
+        )
+        most = {str(unit.dimension): unit for unit, _ in reversed(counts.most_common())}
+        return {each: unit for each, unit in most.items() if unit.dimension.rad == 1}
