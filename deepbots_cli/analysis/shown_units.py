@@ -67,11 +67,7 @@ class ShownUnits:
         """The unit that the file uses most for angles, for angular velocities, and so on, by their SI units."""
         nodes = [] if self._root is None else [node for _, node in walk(self._root)]
         counts = Counter(
-            unit
-            for node in nodes
-            if isinstance(node, ScalarNode)
-            for unit in units_in(inline_text(node))
-            if unit.dimension.rad
+            unit for node in nodes if isinstance(node, ScalarNode) for unit in units_in(inline_text(node)) if unit.dimension.rad
         )
         most = {str(unit.dimension): unit for unit, _ in reversed(counts.most_common())}
         return {each: unit for each, unit in most.items() if unit.dimension.rad == 1}
