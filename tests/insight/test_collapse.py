@@ -188,7 +188,7 @@ def test_the_planted_setting_is_among_the_first_two(tmp_path):
     """Ten minutes of CPU time."""
     right = fell = 0
     for case in CASES:
-        run = trained(case, 1, tmp_path / case.name)
+        run = trained(case, tmp_path / case.name)
         is_named, paths = named(run)
         if case.planted and has_fallen(run):
             assert is_named, case

@@ -71,10 +71,14 @@ def save(path: Path, model: BaseAlgorithm) -> None:
         if name not in left_out and (name in _PICKLED_ENTRIES or is_json_serializable(value))
     }
     # A schedule is a function of ours; training on elsewhere begins with the present rate.
-    data["learning_rate"] = float(model.lr_schedule(max(0.0, model._current_progress_remaining)))
+    rate = data["learning_rate"] = float(model.lr_schedule(max(0.0, model._current_progress_remaining)))
+    parameters = model.get_parameters()
+    for part in parameters.values():
+        for group in part.get("param_groups", ()):
+            group["lr"] = rate  # the library sets it in the next update only, so a resumed training would have another one here
     # In memory first: where a disk is full, torch's own writer ends in an error that does not say so.
     content = io.BytesIO()
-    save_to_zip_file(content, data, model.get_parameters(), dict(_variables(model)))
+    save_to_zip_file(content, data, parameters, dict(_variables(model)))
     with atomic_write(path, StorageError) as draft, draft.open("wb") as stream:
         stream.write(content.getbuffer())
         stream.flush()
