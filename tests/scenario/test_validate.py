@@ -20,7 +20,7 @@ FAULTS = [
         "DB101",
         "timestep",
         "unknown key `timestep` at the top level",
-        "write `timestep: 1 s` under `world`",
+        "write `  timestep: 1 s` below `world:` (line 9)",
     ),
     ("name: C", "agents: {}\nname: C", "DB101", "agents", "unknown key `agents` at the top level", "not supported yet"),
     ("PPO,", "PPO, gama: 0.9,", "DB101", "gama", "unknown key `gama` in `train`", "did you mean `gamma`?"),
