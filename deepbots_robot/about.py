@@ -9,10 +9,11 @@ from typing import Annotated, Literal, NamedTuple
 import msgspec
 from msgspec import Meta
 
+from deepbots_robot.model import LINE
 from deepbots_robot.topics import ACTION, Field, describe
 
 MAX_FIELDS = 4096
-Text = Annotated[str, Meta(max_length=200)]
+Text = Annotated[str, Meta(max_length=200, pattern=LINE)]
 Role = Literal["policy", "robot"]
 
 

@@ -9,12 +9,13 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+import stat
 import warnings
 import zipfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, BinaryIO
 
 import msgspec
 import numpy as np
@@ -31,13 +32,15 @@ METADATA_KEY = "deepbots.bundle"
 """Metadata of the graph: the digest of the bundle.json that belongs to it."""
 TOLERANCE = 1e-5
 """Largest difference of a command, in shares of its range, and of two scores that count as equal."""
-_MAX_JSON_BYTES = 10_000_000
+_MAX_JSON_BYTES = 4_000_000
 _MAX_SIGNATURE_BYTES = 10_000
 _MAX_GRAPH_BYTES = 100_000_000
 _MAX_PARITY_BYTES = 100_000_000
 """Packed and unpacked."""
 _MAX_PARITY_OPERATIONS = 3_000_000_000
 """Operations of all recorded steps together, which take at most 1.2 s."""
+_BYTE_OPERATIONS = 8
+"""What the digest of a byte takes, as operations of the graph: 2.6 ns."""
 _STEP_OPERATIONS, _FIELD_OPERATIONS = 100_000, 20_000
 """What Python does in a step, and for each input, memory and command in it, as operations of the graph."""
 _MAX_BYTES = 500_000_000
@@ -84,13 +87,13 @@ def load(folder: str | Path, *, trusted: str | Path | Sequence[str] | None = Non
         missing = next((name for name in _REQUIRED if name not in info.files), None)
         if missing is not None:
             raise BundleError(f"{BUNDLE_NAME} has no digest of {missing}")
-        _check_sizes(folder, info)
-        for name in info.files.keys() - {GRAPH_NAME, PARITY_NAME}:
-            _check_digest(folder, info, name)
         if model.encode(info) != description:  # a key that occurs twice, which other readers may read otherwise
             raise BundleError(f"{BUNDLE_NAME} is not written as an export writes it")
+        size = _checked_size(folder, info)
+        for name in info.files.keys() - {GRAPH_NAME, PARITY_NAME}:
+            _check_digest(folder, info, name)
         bundle = Bundle(info, _exported(folder, info, GRAPH_NAME, _MAX_GRAPH_BYTES), folder)
-        replay(bundle, read_parity(_exported(folder, info, PARITY_NAME, _MAX_PARITY_BYTES), info))
+        replay(bundle, read_parity(_exported(folder, info, PARITY_NAME, _MAX_PARITY_BYTES), info), _BYTE_OPERATIONS * size)
     except (BundleError, OSError) as error:  # an OSError is of a name that the file system does not take, or of a folder without rights
         raise BundleError(f"{folder}: {_one_line(error, 1000)}; export the run again") from error
     return bundle
@@ -110,19 +113,20 @@ def description_digest(info: BundleInfo) -> str:
     return hashlib.sha256(msgspec.json.encode(msgspec.structs.replace(info, files={}))).hexdigest()
 
 
-def _check_sizes(folder: Path, info: BundleInfo) -> None:
-    """Raises: BundleError: All files together are too large."""
+def _checked_size(folder: Path, info: BundleInfo) -> int:
+    """The bytes of all files together. Raises: BundleError: They are too many."""
     sizes = 0
     for name in info.files:
         sizes += _regular_file(folder, name).stat().st_size
     if sizes > _MAX_BYTES:
         raise BundleError(f"its files have more than {_MAX_BYTES} bytes together")
+    return sizes
 
 
 def _check_digest(folder: Path, info: BundleInfo, name: str) -> None:
     """Compare a file that is not needed here with its digest. Raises: BundleError: It is missing, or another one."""
     digest, left = hashlib.sha256(), _MAX_BYTES
-    with _regular_file(folder, name).open("rb") as file:
+    with _opened(folder, name) as file:
         while left > 0 and (content := file.read(_CHUNK_BYTES)):
             digest.update(content)
             left -= len(content)
@@ -136,6 +140,16 @@ def _exported(folder: Path, info: BundleInfo, name: str, most: int) -> bytes:
     if hashlib.sha256(content).hexdigest() != info.files.get(name):
         raise BundleError(f"{name} is not the file that was exported")
     return content
+
+
+def _opened(folder: Path, name: str) -> BinaryIO:
+    """A file in a folder, opened so that a link or a pipe that takes its place after the checks is neither followed nor waited for."""
+    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    file = os.fdopen(os.open(_regular_file(folder, name), flags), "rb")
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise BundleError(f"{name} is no regular file")
+    return file
 
 
 def _regular_file(folder: Path, name: str) -> Path:
@@ -152,7 +166,7 @@ def _regular_file(folder: Path, name: str) -> Path:
 
 def _read(folder: Path, name: str, most: int) -> bytes:
     try:
-        with _regular_file(folder, name).open("rb") as file:
+        with _opened(folder, name) as file:
             content = file.read(most + 1)
     except OSError as error:
         raise BundleError(f"{name} cannot be read: {error.strerror}") from error
@@ -443,22 +457,22 @@ def _read_array(archive: zipfile.ZipFile, name: str, size: int) -> Array:
     return np.frombuffer(content, dtype, offset=header.tell()).reshape(shape, order="F" if by_columns else "C")
 
 
-def most_steps(bundle: Bundle) -> int:
-    """How many recorded steps may be repeated when a bundle is loaded."""
+def most_steps(bundle: Bundle, spent: int = 0) -> int:
+    """How many recorded steps may be repeated when a bundle is loaded and other checks have taken `spent` operations."""
     info = bundle.info
     python = _STEP_OPERATIONS + _FIELD_OPERATIONS * (len(info.inputs) + 2 * len(info.memory) + len(info.outputs))
-    return _MAX_PARITY_OPERATIONS // (bundle.operations + python)
+    return max(0, _MAX_PARITY_OPERATIONS - spent) // (bundle.operations + python)
 
 
-def replay(bundle: Bundle, parity: Parity) -> None:
-    """Repeat recorded steps.
+def replay(bundle: Bundle, parity: Parity, spent: int = 0) -> None:
+    """Repeat recorded steps, where other checks have already taken the time of `spent` operations.
 
     Raises:
         BundleError: A command or a score differs by more than 1e-5 of its range, or another option is chosen although its score is
             smaller by more than 1e-5; or the graph cannot be run.
     """
-    if parity.steps > most_steps(bundle):
-        raise BundleError(f"the {parity.steps} recorded steps take more than {_MAX_PARITY_OPERATIONS:,} operations")
+    if parity.steps > most_steps(bundle, spent):
+        raise BundleError(f"the {parity.steps} recorded steps take more than {max(0, _MAX_PARITY_OPERATIONS - spent):,} operations")
     policy = bundle.start()
     starts, skipping = set(parity.starts), False
     spans: dict[str, Any] = {entry.name: span_of(entry) for entry in bundle.info.outputs} | {"action": 2.0}
@@ -511,4 +525,4 @@ def _numbers(array: Array) -> str:
 def _one_line(error: BaseException, most: int = 200) -> str:
     """The text of an error without characters that a terminal obeys; names in a graph are part of it."""
     text = " ".join(str(error).split())[:most] or type(error).__name__
-    return "".join(letter if letter.isprintable() else "?" for letter in text)
+    return model.printable(text)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepbots_robot.link import Array, Arrival
+from deepbots_robot.model import printable
 from deepbots_robot.topics import Field
 
 SLACK = 0.01
@@ -95,7 +96,7 @@ class Intake:
         refusal = Refusal("unreadable", arrival.problem) if arrival.problem else self._refusal(arrival, now)
         if refusal is not None:
             self.refused[refusal.kind] += 1
-            self.examples.setdefault(refusal.kind, f"{arrival.source}: {refusal.text}"[:200])
+            self.examples.setdefault(refusal.kind, printable(f"{arrival.source}: {refusal.text}"[:200]))
             return refusal
         for name, value in arrival.fields.items():
             state, known = self._states[name], self.inputs[name]

@@ -36,6 +36,8 @@ MAX_READ = 1 << 28
 _MAX_RECORD = 1 << 26
 _MAGIC = b"\x89MCAP0\r\n"
 _NS = 1_000_000_000
+_LATEST = 1.8e10
+"""The latest time in s: MCAP has nanoseconds in 64 bits. In lockstep, times are those of the robot."""
 _STEP = {
     "type": "object",
     "properties": {
@@ -97,7 +99,7 @@ class LogWriter:
         self._flush()
 
     def _add(self, channel: int, stamp: float, content: Mapping[str, Any]) -> None:
-        at = max(0, round(stamp * _NS))
+        at = round(min(max(0.0, stamp), _LATEST) * _NS)
         self._writer.add_message(channel, at, json.dumps(content).encode(), at)
         self._flush()
 
@@ -110,8 +112,10 @@ class LogWriter:
     def close(self) -> None:
         """Write the end of the file."""
         if not self._file.closed:
-            self._writer.finish()  # type: ignore[no-untyped-call]
-            self._file.close()
+            try:
+                self._writer.finish()  # type: ignore[no-untyped-call]
+            finally:
+                self._file.close()
 
 
 def read_log(path: Path, note: Callable[[str], object] = lambda text: None) -> Iterator[tuple[str, float, dict[str, Any]]]:

@@ -101,6 +101,8 @@ class MessageLink(ABC):
         self._about = about and with_fields(about, sends, receives)
         self._other: About | None = None
         self._remarks: list[Remark] = []
+        self._introduced: Any = None
+        """The connection of the last readable message, of which the remarks are."""
         self._is_crowded = False
         self._packed = False
         self._longest = longest_message(receives, self._about)
@@ -137,6 +139,8 @@ class MessageLink(ABC):
             self._is_crowded = True
             return []
         arrival = read(content, self._fields)
+        if not arrival.problem and sender != self._introduced:  # what did not fit at another connection says nothing about this one
+            self._remarks, self._other, self._introduced = [], None, sender
         if not arrival.problem:  # bytes that are no message change neither who is answered nor how
             self._packed = content[:1] != b"{"
             self._heard_at = time.monotonic()

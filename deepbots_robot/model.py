@@ -38,7 +38,8 @@ class InputError(ValueError):
 
 _HIDDEN = r"\x7f-\x9f\u2028-\u202e\u2066-\u2069"
 Name = Annotated[str, Meta(min_length=1, max_length=200, pattern=rf"^[^\x00-\x1f{_HIDDEN}]+$(?!\n)")]
-Line = Annotated[str, Meta(max_length=2000, pattern=rf"^[^\x00-\x1f{_HIDDEN}]*$(?!\n)")]
+LINE = rf"^[^\x00-\x1f{_HIDDEN}]*$(?!\n)"
+Line = Annotated[str, Meta(max_length=2000, pattern=LINE)]
 Text = Annotated[str, Meta(max_length=2000, pattern=rf"^[^\x00-\x08\x0b-\x1f{_HIDDEN}]*$")]
 Digest = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}$(?!\n)", description="SHA-256 in hexadecimal.")]
 Finite = Annotated[float, Meta(ge=-1e300, le=1e300)]
@@ -301,6 +302,11 @@ def plain(info: BundleInfo) -> Mapping[str, Any]:
     """The content as `json` reads it."""
     found: Mapping[str, Any] = json.loads(msgspec.json.encode(info))
     return found
+
+
+def printable(text: str) -> str:
+    """A text of another program with `?` for each character that a terminal obeys."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def size_of(shape: tuple[int, ...]) -> int:

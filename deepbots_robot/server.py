@@ -18,6 +18,7 @@ import numpy as np
 
 from deepbots_robot.intake import RESTART, Input, Intake, Refusal
 from deepbots_robot.link import Array, Link
+from deepbots_robot.model import printable
 from deepbots_robot.topics import ACTION, Field
 
 EARLY = 0.25
@@ -176,10 +177,10 @@ class Server:
     def _look(self) -> None:
         """Say what does not fit at the other end, each sentence once."""
         self._looked_at = self._clock()
-        for remark in self.link.remarks():
-            if remark.text not in self.remarks and len(self.remarks) < _MOST_REMARKS:
-                self.remarks.append(remark.text)
-                self._event("remark", remark.text)
+        for text in (printable(remark.text) for remark in self.link.remarks()):
+            if text not in self.remarks and len(self.remarks) < _MOST_REMARKS:
+                self.remarks.append(text)
+                self._event("remark", text)
 
     def _patience(self) -> float:
         """How long nothing has to be done, in s."""
@@ -252,7 +253,9 @@ class Server:
             return
         now = self._clock()
         passed = 0.0 if self._lockstep else (now - self._sent_at) * self._speed
-        commands = self.commands.limit(found, max(passed, self._step_time))
+        if self._lockstep or passed >= (1.0 - EARLY) * self._step_time:  # a step is sooner only after a reset, which gives no more reach
+            passed = max(passed, self._step_time)
+        commands = self.commands.limit(found, passed)
         if commands is None:
             self._send_safe("policy", "the policy computes a command that is not finite")
             return
@@ -307,7 +310,7 @@ class Server:
 
     def _event(self, kind: str, text: str, after: float = 0.0) -> None:
         if self._log is not None:
-            self._log.event(self._stamp() + after, kind, text)
+            self._log.event(self._stamp() + after, kind, printable(text))
 
     def report(self) -> dict[str, Any]:
         """What was served: times in s, counts of messages, and why messages were refused."""

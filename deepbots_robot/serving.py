@@ -236,6 +236,8 @@ def serve(
     """
     if not 0.0 < speed <= MAX_SPEED:
         raise ServeError(f"the speed {speed:g} is not between 0 and {MAX_SPEED:g}")
+    if seconds is not None and not 0.0 < seconds < np.inf:
+        raise ServeError(f"{seconds:g} is no time to serve for; write a number of seconds above 0, or none, to serve until Ctrl-C")
     inputs, outputs = inputs_of(bundle.info), outputs_of(bundle.info)
     given = {name: Topic(topic.topic, topic.type, topic.part) for name, topic in bundle.info.ros.items()}
     receives = mapped([each.field for each in inputs], given)
@@ -261,7 +263,8 @@ def serve(
     finally:
         link.close()
         if writer is not None:
-            writer.close()
+            with suppress(OSError):  # a note has said so
+                writer.close()
     return server.report()
 
 
@@ -301,8 +304,16 @@ class Notes:
 
     def step(self, *step: Any, **rest: Any) -> None:
         """The same arguments as `LogWriter.step`."""
-        if self._log is not None:
-            self._log.step(*step, **rest)
+        self._write(lambda log: log.step(*step, **rest))
+
+    def _write(self, entry: Callable[[LogWriter], object]) -> None:
+        """Without the log, the robot still gets its commands."""
+        try:
+            if self._log is not None:
+                entry(self._log)
+        except OSError as error:
+            self._log = None
+            self._note(f"nothing more is written to the log ({(error.strerror or 'unknown reason').lower()}); the policy acts on")
 
     def event(self, stamp: float, kind: str, text: str) -> None:
         now = time.monotonic()
@@ -310,8 +321,8 @@ class Notes:
             self._second = int(now)
             self._logged.clear()
         self._logged[kind] += 1
-        if self._log is not None and self._logged[kind] <= _MOST_EVENTS:
-            self._log.event(stamp, kind, text)
+        if self._logged[kind] <= _MOST_EVENTS:
+            self._write(lambda log: log.event(stamp, kind, text))
         if kind == "remark" or (kind != "episode" and now - self._said.get(kind, -10.0) > 1.0):
             self._said[kind] = now
             self._note({"safe": "safe posture: ", "refused": "refused: "}.get(kind, "") + text)

@@ -16,6 +16,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
+from itertools import islice
 from typing import Any
 
 from websockets.exceptions import WebSocketException
@@ -39,6 +40,8 @@ _LOOK = 0.5
 """Seconds after which a wait for a connection looks whether the link is closed."""
 _OPENING = 2.0
 """Seconds within which a connection must become a WebSocket."""
+_MOST_PARTS = 1000
+"""Parts of a message; the usual libraries send it in one."""
 _SENDING = 0.5
 """Seconds after which a robot that does not read is given up."""
 
@@ -109,9 +112,10 @@ class WebSocketLink(MessageLink):
     def _end_oldest(self) -> None:
         """End the oldest connection that the policy does not answer."""
         kept = getattr(self._peer, "socket", None)
-        oldest = next(each for each in list(self._open) if each is not kept)
+        oldest = next((each for each in list(self._open) if each is not kept), None)  # others may end at this moment
         with suppress(OSError):
-            oldest.shutdown(socket.SHUT_RDWR)
+            if oldest is not None:
+                oldest.shutdown(socket.SHUT_RDWR)
 
     def _handle(self, connection: socket.socket, address: Any) -> None:
         try:
@@ -124,11 +128,17 @@ class WebSocketLink(MessageLink):
         with suppress(WebSocketException, OSError):
             if sys.platform != "win32":
                 peer.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", 0, int(_SENDING * 1e6)))
-            for content in peer:
+            while True:
+                # Iterating over the connection would gather the parts of a message without a limit; empty ones have no size.
+                parts = [*islice(peer.recv_streaming(), _MOST_PARTS + 1)]
+                if len(parts) > _MOST_PARTS:
+                    peer.close(1009, "a message in too many parts")
+                    break
+                content = parts[0][:0].join(parts)
                 if not self._is_taken(peer):  # its messages would take the place of those of the robot
                     self._is_crowded = True
                     peer.close(1013, "the policy acts for another robot")
-                    return
+                    break
                 self._waiting.append((peer, content))
                 self._here.set()
         if self._peer is peer:

@@ -1,6 +1,7 @@
 """The link over ZeroMQ: the policy has a ROUTER socket and answers in the format of the last message, a robot has a DEALER socket.
 
-A ROUTER takes the messages of its connections in turn, so a flood in one of them delays another one by a message.
+A ROUTER takes the messages of its connections in turn, so a flood in one of them delays another one by a message. It keeps the parts of
+a message until the last one comes, however many, and has no limit for them: where the process grows, all connections are closed.
 
 `messages.py` describes the messages.
 """
@@ -10,14 +11,16 @@ from __future__ import annotations
 import re
 import socket
 import sys
+import time
 from collections.abc import Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import zmq
 
-from deepbots_robot.about import About
+from deepbots_robot.about import About, Remark
 from deepbots_robot.link import Arrival
 from deepbots_robot.messages import MessageLink
 from deepbots_robot.topics import Field
@@ -27,6 +30,13 @@ _TAKEN = 64
 """Messages that are taken before the policy may act."""
 _MOST_SENT = 64
 """Commands that wait for a robot that does not read."""
+_MOST_GROWTH = 100_000_000
+"""Bytes by which the process may grow; a policy has loaded its weights before."""
+_LOOK = 0.05
+"""Seconds between two looks at the memory, which take 0.02 ms each."""
+_CLOSING = 2.0
+"""Seconds in which ZeroMQ gives an address back."""
+_ENDLESS = Remark("the memory of this policy grew, as by a message without an end; all connections were closed, and robots connect again")
 
 
 class ZmqLink(MessageLink):
@@ -47,25 +57,60 @@ class ZmqLink(MessageLink):
         self._robot, self._peer = robot, b""
         if not robot and _is_taken(address):  # ZeroMQ would take the address away from the other policy
             raise ValueError(f"{address} cannot be opened: address already in use")
-        self._socket: Any = zmq.Context.instance().socket(zmq.DEALER if robot else zmq.ROUTER)
-        self._socket.setsockopt(zmq.LINGER, 1000)
-        self._socket.setsockopt(zmq.MAXMSGSIZE, self._longest)
-        self._socket.setsockopt(zmq.RCVHWM, self._most_waiting)
-        self._socket.setsockopt(zmq.SNDHWM, _MOST_SENT)
+        self._address, self._was_flooded = address, False
         try:
-            if robot:
-                self._socket.setsockopt(zmq.IMMEDIATE, 1)  # nothing waits for a policy that is not there
-                self._socket.connect(address)
-            else:
-                self._socket.bind(address)
+            self._socket: Any = self._opened()
         except zmq.ZMQError as error:
-            self._socket.close()
             raise ValueError(f"{address} cannot be opened: {error.strerror.lower()}") from None
+        self._looked_at, self._size = time.monotonic(), _process_bytes()
+        self._usual = self._size
+
+    def _opened(self) -> Any:
+        opened = zmq.Context.instance().socket(zmq.DEALER if self._robot else zmq.ROUTER)
+        opened.setsockopt(zmq.LINGER, 1000)
+        opened.setsockopt(zmq.MAXMSGSIZE, self._longest)
+        opened.setsockopt(zmq.RCVHWM, self._most_waiting)
+        opened.setsockopt(zmq.SNDHWM, _MOST_SENT)
+        try:
+            if self._robot:
+                opened.setsockopt(zmq.IMMEDIATE, 1)  # nothing waits for a policy that is not there
+                opened.connect(self._address)
+            else:
+                opened.bind(self._address)
+        except zmq.ZMQError:
+            opened.close()
+            raise
+        return opened
+
+    def _limit_memory(self) -> None:
+        """Close all connections of a policy where the process has grown; not those of a file, which only its owners reach."""
+        now = time.monotonic()
+        if self._robot or now < self._looked_at + _LOOK or not self._address.startswith("tcp"):
+            return
+        self._looked_at, size = now, _process_bytes()
+        self._usual = max(self._size, min(self._usual, size))  # after connections were closed, their memory is free a little later
+        if size <= self._usual + _MOST_GROWTH:
+            return
+        self._was_flooded, self._peer = True, b""
+        self._socket.close(0)
+        while True:
+            try:
+                self._socket = self._opened()
+                break
+            except zmq.ZMQError:  # the address is still in use
+                if time.monotonic() > now + _CLOSING:
+                    raise
+                time.sleep(0.01)
+        self._usual = size
+
+    def remarks(self) -> Sequence[Remark]:
+        return [*super().remarks(), *([_ENDLESS] if self._was_flooded else [])]
 
     def wait(self, timeout: float) -> None:
         self._socket.poll(max(0, int(np.ceil(timeout * 1000))))
 
     def take(self) -> Sequence[Arrival]:
+        self._limit_memory()
         found: list[Arrival] = []
         for _ in range(_TAKEN):
             try:
@@ -92,6 +137,14 @@ class ZmqLink(MessageLink):
 
     def close(self) -> None:
         self._socket.close()
+
+
+def _process_bytes() -> int:
+    """The memory of this process; 0 where the system does not say."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
+    except OSError:
+        return 0
 
 
 def _is_taken(address: str) -> bool:
