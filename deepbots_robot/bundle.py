@@ -87,11 +87,11 @@ def load(folder: str | Path, *, trusted: str | Path | Sequence[str] | None = Non
         missing = next((name for name in _REQUIRED if name not in info.files), None)
         if missing is not None:
             raise BundleError(f"{BUNDLE_NAME} has no digest of {missing}")
-        if model.encode(info) != description:  # a key that occurs twice, which other readers may read otherwise
-            raise BundleError(f"{BUNDLE_NAME} is not written as an export writes it")
         size = _checked_size(folder, info)
         for name in info.files.keys() - {GRAPH_NAME, PARITY_NAME}:
             _check_digest(folder, info, name)
+        if model.encode(info) != description:  # a key that occurs twice, which other readers may read otherwise
+            raise BundleError(f"{BUNDLE_NAME} is not written as an export writes it")
         bundle = Bundle(info, _exported(folder, info, GRAPH_NAME, _MAX_GRAPH_BYTES), folder)
         replay(bundle, read_parity(_exported(folder, info, PARITY_NAME, _MAX_PARITY_BYTES), info), _BYTE_OPERATIONS * size)
     except (BundleError, OSError) as error:  # an OSError is of a name that the file system does not take, or of a folder without rights

@@ -66,7 +66,7 @@ class ZmqLink(MessageLink):
         self._usual = self._size
 
     def _opened(self) -> Any:
-        opened = zmq.Context.instance().socket(zmq.DEALER if self._robot else zmq.ROUTER)
+        opened: Any = zmq.Context.instance().socket(zmq.DEALER if self._robot else zmq.ROUTER)
         opened.setsockopt(zmq.LINGER, 1000)
         opened.setsockopt(zmq.MAXMSGSIZE, self._longest)
         opened.setsockopt(zmq.RCVHWM, self._most_waiting)

@@ -24,8 +24,10 @@ import pytest
 
 pytest.importorskip("onnxruntime")
 pytest.importorskip("mcap")
-zmq = pytest.importorskip("zmq")
+pytest.importorskip("zmq")
 pytest.importorskip("websockets")
+
+import zmq
 
 from deepbots_robot import zeromq
 from deepbots_robot.link import Arrival
