@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import textwrap
 from collections import Counter
@@ -242,6 +243,17 @@ def _with_breaks(curve: Curve, stages: Sequence[StageStart]) -> Curve:
     return at, values
 
 
+def import_matplotlib() -> None:
+    """Import matplotlib with its default settings.
+
+    It reads the file `matplotlibrc` of the current folder, which may be a stranger's: such a file can make it run LaTeX.
+    """
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # what it does not know in such a file
+    import matplotlib
+
+    matplotlib.rcdefaults()
+
+
 def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
     """A figure of trainings: those of one scenario are one line, the mean of its seeds, with a band from the lowest to the highest seed.
 
@@ -249,6 +261,7 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
         MissingExtraError: matplotlib is not installed.
     """
     try:
+        import_matplotlib()
         from matplotlib.figure import Figure
     except ModuleNotFoundError as error:
         raise MissingExtraError("train", "a plot") from error

@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import os
 import re
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -328,3 +331,22 @@ def test_names_of_others_are_text_and_not_formulas(runs, tmp_path):
     labels = plots.plot(plots.read_logs([runs / "a0"])).axes[3].get_legend_handles_labels()[1]
     assert len(labels) == 21
     assert "others" in labels
+
+
+def test_the_settings_of_matplotlib_in_a_strangers_folder_are_not_used(runs, tmp_path):
+    """A process of its own, since matplotlib reads them once."""
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\nfigure.dpi: 100000\nnot a key: [\n")
+    script = "import sys; from deepbots_cli.cli import main; sys.exit(main(sys.argv[1:]))"
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    run = runs / "a0"
+    done = subprocess.run(
+        [sys.executable, "-c", script, "plot", str(run), "-o", "a.png"],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "matplotlibrc" not in done.stdout + done.stderr
+    assert (tmp_path / "a.png").stat().st_size < 1_000_000

@@ -50,6 +50,7 @@ def command(
     Next: open the file in a browser.
     """
     from deepbots_cli.files import atomic_write, check_folder, check_output
+    from deepbots_cli.view.plots import import_matplotlib
 
     target = out or Path(f"{run.resolve().name}.html")
     if target.suffix.lower() not in (".html", ".htm"):
@@ -58,7 +59,7 @@ def command(
     if figures is not None:
         check_folder(figures)
     try:
-        import matplotlib  # noqa: F401
+        import_matplotlib()
     except ModuleNotFoundError as error:
         raise MissingExtraError("train", "a report") from error
     from deepbots_cli.insight import report as of_runs
