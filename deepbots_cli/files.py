@@ -107,6 +107,17 @@ def check_new_folder(folder: Path, *, force: bool) -> None:
         )
 
 
+def refuse_links_within(folder: Path) -> None:
+    """Find out before long work whether files in a folder are links or pipes: writing would follow a link, and wait for a pipe.
+
+    Raises:
+        UsageError: One is.
+    """
+    for path in sorted(folder.rglob("*")) if folder.is_dir() else ():
+        if path.is_symlink() or not (path.is_file() or path.is_dir()):
+            raise UsageError(f"{path} is neither a file nor a directory; choose another folder")
+
+
 def check_folder(folder: Path) -> None:
     """Find out before long work whether files can be written into a folder, which need not be there yet.
 

@@ -12,6 +12,9 @@ pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
 
 import deepbots_robot
+from deepbots_cli.cli import main
+from deepbots_cli.errors import UsageError
+from deepbots_cli.files import refuse_links_within
 from deepbots_robot import BundleError, bundle
 from tests.bundle.untrained import written
 
@@ -46,3 +49,18 @@ def test_a_file_that_is_exchanged_after_its_checks_is_neither_waited_for_nor_fol
     monkeypatch.setattr(bundle, "_regular_file", exchanged)
     with pytest.raises(BundleError, match=r"parity.npz (is no regular file|cannot be read)"):
         deepbots_robot.load(folder)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links and pipes need rights there")
+@pytest.mark.parametrize("kind", ["link", "pipe"])
+def test_with_force_an_export_neither_writes_through_a_link_nor_waits_for_a_pipe(
+    tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    victim, out = tmp_path / "victim", tmp_path / "out"
+    victim.write_text("precious")
+    out.mkdir()
+    (out / bundle.GRAPH_NAME).symlink_to(victim) if kind == "link" else os.mkfifo(out / bundle.GRAPH_NAME)
+    with pytest.raises(UsageError, match=r"policy.onnx is neither a file nor a directory"):
+        refuse_links_within(out)
+    assert main(["export", str(tmp_path / "no-run"), "-o", str(out), "--force"]) != 0
+    assert victim.read_text() == "precious"

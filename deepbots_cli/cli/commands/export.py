@@ -16,7 +16,7 @@ from deepbots_cli.cli.commands.new import write_new
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.files import check_new_folder
+from deepbots_cli.files import check_new_folder, refuse_links_within
 from deepbots_cli.learning.run import ModelRef
 from deepbots_cli.program import identity
 from deepbots_cli.rollout.source import Source, SourceKind
@@ -98,10 +98,12 @@ def command(
     model = "last" if last else "best"
     if out is not None:
         check_new_folder(out, force=force)
+        refuse_links_within(out)
     opened = Source.open(source, Permissions(), SourceKind.RUN, SourceKind.CHECKPOINT)
     named = "" if opened.model is None else f"-{opened.model}"
     folder = out or Path(f"{opened.path.resolve().name}{named}-{to.value}")
     check_new_folder(folder, force=force)
+    refuse_links_within(folder)
     ref = ModelRef.open(opened, model=model)
     with terminal.transient_line("exporting the policy ..."):
         from deepbots_cli.insight.export import bundle  # torch, which exporting imports, takes a second
