@@ -1,6 +1,6 @@
 """In which unit each quantity of a scenario is shown: the one in which its file writes it.
 
-Programs, messages, recordings and JSON have SI units. Tables, sentences, pages and figures ask `ShownUnits`.
+Programs, messages, recordings and JSON have SI units. Everything that a person reads has the units of `ShownUnits`.
 """
 
 from __future__ import annotations

@@ -107,7 +107,7 @@ def scenario_tables(scenario: Program, root: Node, run: Run | None = None, learn
 
 
 def in_written_units(tables: Tables, scenario: Program, root: Node) -> Tables:
-    """The tables with draws as the scenario writes them, and with ranges of observations and actions in the units of the file."""
+    """The tables in the words of the file: draws as it writes them, and ranges of observations and actions in its units."""
     units = ShownUnits(root)
 
     def converted(row: Row) -> Row:

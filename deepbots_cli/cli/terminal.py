@@ -42,7 +42,10 @@ def print_error(text: str) -> None:
 
 @contextmanager
 def transient_line(text: str) -> Iterator[Callable[[str], None]]:
-    """A line on stderr, on a terminal only, which disappears at the end of the block. Yields a function that rewrites it."""
+    """A line on stderr, on a terminal only, which disappears at the end of the block.
+
+    Yields a function that rewrites the line.
+    """
     line = LiveLine()
     line.show(text)
     try:

@@ -150,9 +150,10 @@ def test_resets_do_not_make_commands_change_faster() -> None:
     for number in range(100):
         at = 100.0 + 0.002 * number
         world.line.coming.append((at, Arrival("robot", kind="reset", stamp=at, number=number)))
-        world.line.put(at, 1.0, stamp=at + 1e-6)
+        world.line.put(at, -0.4 if number < 50 else 0.4, stamp=at + 1e-6)  # a turn, because the first command has no limit of its rate
     found = world.run(100.2)
     assert len(found) > 50
+    assert found[-1][1][0] > found[0][1][0]
     for (one, before), (other, after) in itertools.combinations(found, 2):
         assert abs(after[0] - before[0]) <= rate * (other - one) + rate / RATE
 

@@ -290,7 +290,7 @@ def _checked_kind(file: Path, given: Sequence[str]) -> str:
     """The suffix of the file.
 
     Raises:
-        UsageError: Nothing is made with this suffix, or an option that is given is for others; lists them. Or two exclude each other.
+        UsageError: Nothing is made with this suffix, an option that is given is for others, or two exclude each other.
     """
     kind = file.suffix.lower()
     if kind not in SUFFIXES:
