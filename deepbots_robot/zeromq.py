@@ -8,7 +8,7 @@ a message until the last one comes, however many, and has no limit for them: whe
 
 from __future__ import annotations
 
-import os
+import mmap
 import re
 import socket
 import sys
@@ -143,7 +143,7 @@ class ZmqLink(MessageLink):
 def _process_bytes() -> int:
     """The memory of this process; 0 where the system does not say."""
     try:
-        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+        return int(Path("/proc/self/statm").read_text().split()[1]) * mmap.PAGESIZE
     except OSError:
         return 0
 
