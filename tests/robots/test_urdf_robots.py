@@ -15,7 +15,7 @@ from deepbots_cli.robots.reader import RobotFile, read, read_bytes
 
 SHIPPED = Path(__file__).parents[2] / "robots/urdf"
 PUBLISHED = {
-    "r2d2.urdf": {"DB307"},
+    "r2d2.urdf": set(),
     "husky/husky.urdf": {"DB305", "DB311"},
     "quadruped/minitaur.urdf": {"DB307", "DB311"},
     "laikago/laikago.urdf": {"DB306"},
@@ -27,7 +27,7 @@ PUBLISHED = {
     "biped/biped2d_pybullet.urdf": {"DB306", "DB307", "DB311"},
     "differential/diff_ring.urdf": {"DB311"},
     "quadruped/microtaur/microtaur.urdf": {"DB311"},
-    "racecar/racecar_differential.urdf": {"DB307", "DB311"},
+    "racecar/racecar_differential.urdf": {"DB311"},
     "humanoid/humanoid.urdf": {"DB311"},
     "spherical_joint_limit.urdf": {"DB306", "DB311"},
 }
