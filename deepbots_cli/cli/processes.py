@@ -13,6 +13,7 @@ from deepbots_cli.learning.spread import ONE_BY_ONE, Spread
 
 if TYPE_CHECKING:
     from deepbots_cli.cluster import Cluster
+    from deepbots_cli.learning.shards import Placement
 
 
 def available_cores() -> int:
@@ -59,3 +60,12 @@ def cluster(workers: int | None, address: str | None, *, quiet: bool) -> Iterato
         yield found
     finally:
         found.__exit__()
+
+
+@contextmanager
+def placement(workers: int | None, address: str | None, *, quiet: bool) -> Iterator[Placement]:
+    """Where the shards of a training run."""
+    from deepbots_cli.learning.shards import THIS_PROCESS  # which imports torch
+
+    with cluster(workers, address, quiet=quiet) as found:
+        yield found or THIS_PROCESS

@@ -137,7 +137,7 @@ class RayCluster:
         here = ray.get_runtime_context().get_node_id()
         if not any(node["Alive"] for node in ray.nodes() if node["NodeID"] == here):
             error = RunError("the Ray node of this process was lost")
-            error.add_note("start again; a training continues with `deepbots train --resume`")
+            error.add_note("start again; a training continues with `deepbots resume`")
             raise error
 
     def set_last_words(self, text: str) -> None:

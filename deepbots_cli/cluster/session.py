@@ -45,7 +45,7 @@ class Cluster:
 
     def __enter__(self) -> Self:
         self._executor.__enter__()
-        self._executor.set_last_words("to continue a training, use `deepbots train --resume`")
+        self._executor.set_last_words("to continue a training, use `deepbots resume`")
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -69,7 +69,7 @@ class Cluster:
             raise UsageError("the argument `build` makes worlds in this process only; leave out the workers")
         pool = RemoteShards(self._executor, run, build.keywords["permissions"], world_numbers(training), note)
         stack.callback(pool.close)
-        self._executor.set_last_words(f"to continue: deepbots train --resume {quote(str(run.path))}")
+        self._executor.set_last_words(f"to continue: deepbots resume {quote(str(run.path))}")
         return pool
 
     def map(

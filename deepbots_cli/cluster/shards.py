@@ -270,7 +270,7 @@ class RemoteShards:
         steps = order.begun if isinstance(order, Order) else 0
         when = "in an evaluation" if isinstance(order, EvaluationOrder) else f"in the steps after {steps:,}"
         error = RunError(f"shard {shard} ended its worker {MAX_LOSSES} times {when}; {self._log(worker)} has its last output")
-        error.add_note(f"to repeat this in one process: deepbots train --resume {quote(str(self._run.path))}")
+        error.add_note(f"to repeat this in one process: deepbots resume {quote(str(self._run.path))}")
         return error
 
     def _log(self, worker: int) -> Path:

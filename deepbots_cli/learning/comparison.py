@@ -422,14 +422,14 @@ def _open_runs(group: Group, model: ModelName = "best") -> _GroupMembers:
     Raises:
         RunError: There is none, or the runs have different values.
     """
-    if group.record.attempts:
-        best = group.attempt(group.best_attempt)
+    if group.best is not None:
         raise RunError(
-            f"the runs of {group.path} have different values, so they have no common statistics; name one of them, such as {best}"
+            f"the runs of {group.path} have different values, so they have no common statistics;"
+            f" name one of them, such as {group.best.path}"
         )
     ready = group.runs_with_model
     if not ready:
-        raise RunError(f"{group.path} contains no trained run yet; train it with: deepbots train --resume {group.path}")
+        raise RunError(f"{group.path} contains no trained run yet; train it with: deepbots resume {group.path}")
     waiting = tuple(seed for seed in group.record.seeds if group.run(seed) not in ready)
     return _GroupMembers(group.path.name, [ModelRef.open(run, model=model) for run in ready], waiting)
 

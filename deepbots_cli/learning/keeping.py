@@ -88,7 +88,7 @@ def keep(
         run = Run.open(folder)  # a training that has just ended in there has changed the record
         result = run.record.result
         if result is None:
-            raise UsageError(f"the training of {folder} has not ended; continue it with: deepbots train --resume {quote(str(folder))}")
+            raise UsageError(f"the training of {folder} has not ended; continue it with: deepbots resume {quote(str(folder))}")
         if ref.is_named and not has_model(folder, ref.name):
             raise RunError(f"{ref.path} is no model that can be kept; names are such as last.zip and step-000020000.zip")
         program, before = run.program, result.best_model

@@ -232,7 +232,7 @@ class GroupProgressReporter(GroupReporter):
     def stop(self) -> None:
         if not self._is_stopping:
             self._is_stopping = True
-            self._print(f"stopping after these rollouts; continue with: deepbots train --resume {quote(str(self._group))}")
+            self._print(f"stopping after these rollouts; continue with: deepbots resume {quote(str(self._group))}")
 
     def close(self) -> None:
         self._show(at_once=True)

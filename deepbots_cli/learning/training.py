@@ -532,7 +532,7 @@ def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoint
     """The error that ended a training, with what is kept of it and how to use that."""
     known = StorageError(unwritable_message(Path(error.filename or run.path), error)) if isinstance(error, OSError) else error
     if checkpoints.description and (isinstance(known, PluginError) or isinstance(known.__cause__ or error, OSError)):
-        known.add_note(f"{checkpoints.description}; continue from there with: deepbots train --resume {quote(str(run.path))}")
+        known.add_note(f"{checkpoints.description}; continue from there with: deepbots resume {quote(str(run.path))}")
     elif checkpoints.has_learned:  # going on would fail again, to the bit
         known.add_note(f"{checkpoints.description}; evaluate what was learned with: deepbots eval {quote(str(run.path))}")
     elif checkpoints.description:

@@ -16,10 +16,11 @@ from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
 from deepbots_cli.files import read_at_most
+from deepbots_cli.learning.campaign import evaluate_once
 from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.group import Group, resume_group, train_group
-from deepbots_cli.learning.report import Reporter, TrainingProgress, to_json
-from deepbots_cli.learning.run import WORKERS_FOLDER, Run, RunRecord, has_ended, is_training, run_lock
+from deepbots_cli.learning.report import Reporter, TrainingProgress
+from deepbots_cli.learning.run import WORKERS_FOLDER, RunRecord, has_ended, is_training, run_lock
 from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, CallOptions, Spread, Watcher
 from deepbots_cli.learning.study import Journal, Objective, SeedScore, Study, StudyReporter, TrialProgress, TrialResult
 from deepbots_cli.learning.verdict import quoted_evaluation
@@ -269,7 +270,8 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
     if reason is not None and record.objective != "solved":
         return TrialResult("failed", reason=reason, stop_requested=stop_requested)
     try:
-        _evaluate(group, permissions)
+        for path in group.runs_with_model:
+            evaluate_once(path, permissions)
     except KeyboardInterrupt:
         return TrialResult("running", stop_requested=True)
     except StorageError:
@@ -278,16 +280,6 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
         return TrialResult("failed", reason=error.full_message, stop_requested=stop_requested)
     follower.finish()
     return TrialResult("complete", tuple(_seed_score(study, group, follower.solved, seed) for seed in record.seeds), None, stop_requested)
-
-
-def _evaluate(group: Group, permissions: Permissions) -> None:
-    """Evaluate and keep the evaluation of each run that has a model and none yet."""
-    from deepbots_cli.learning.evaluation import evaluate  # which imports torch
-
-    for path in group.runs_with_model:
-        run = Run.open(path)
-        if quoted_evaluation(path, run.record) is None:
-            run.write_evaluation(to_json(evaluate(run, permissions=permissions)))
 
 
 def _seed_score(study: Study, group: Group, solved: Solved | None, seed: int) -> SeedScore:

@@ -105,7 +105,7 @@ def test_ctrl_c_stops_all_trainings_after_their_rollouts(
     assert len(asked) == 1
     assert {result.status for result in stopped.trained} == {"interrupted"}
     assert stopped.waiting == SEEDS
-    assert capfd.readouterr().err.count("continue with: deepbots train --resume") == 1
+    assert capfd.readouterr().err.count("continue with: deepbots resume") == 1
     assert resume_group(tmp_path / "stopped", spread=cluster).waiting == ()
     assert outcomes(tmp_path / "stopped") == outcomes(trained_here.group)
 
@@ -239,7 +239,7 @@ def test_without_a_terminal_each_training_has_a_line_at_its_end() -> None:
     assert stream.getvalue().splitlines() == [
         "note: the worker of seed 8 was lost; another one resumes the training",
         "seed 7  finished  steps 6,144 of 6,000  episodes 146  return 42.2",
-        "stopping after these rollouts; continue with: deepbots train --resume runs/group",
+        "stopping after these rollouts; continue with: deepbots resume runs/group",
     ]
 
 

@@ -305,7 +305,7 @@ def test_a_driver_or_a_head_that_is_killed_loses_nothing(number: int, seen: Proc
         ), printed
         assert "Traceback" not in printed
     if not is_ended or kind != "group":
-        resumed = begun(["train", "--resume", str(folder), "--quiet", "--workers", "2"])
+        resumed = begun(["resume", str(folder), "--quiet", "--workers", "2"])
         seen.below(os.getpid())
         _, printed = resumed.communicate(timeout=300)
         assert resumed.returncode == 0 or "is complete" in printed, printed

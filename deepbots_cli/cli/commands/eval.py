@@ -182,7 +182,7 @@ def command(
       deepbots eval runs/find_ball-0-1 --min-success 90% --junit gate.xml
 
     Next: `deepbots render RUN -o video.mp4` makes a video of episode 0, `deepbots diagnose RUN` says why a policy is not better, and
-    `deepbots train --resume RUN --timesteps N` continues the training.
+    `deepbots resume RUN --timesteps N` continues the training.
     """
     given = {name.replace("_", "-"): value for name, value in locals().items() if value is not None and value is not False}
     single = ("baselines", "details")
