@@ -20,7 +20,7 @@ from deepbots_cli.learning.group import RetryAttempt
 if TYPE_CHECKING:
     from deepbots_cli.insight.retry import Attempted, RetriedTraining
     from deepbots_cli.insight.statements import Statement
-    from deepbots_cli.learning.shards import Placement
+    from deepbots_cli.learning.executor import Executor
 
 
 def train(compiled: Compiled, retries: int, *, quiet: bool, as_json: bool, **options: Any) -> None:
@@ -30,11 +30,11 @@ def train(compiled: Compiled, retries: int, *, quiet: bool, as_json: bool, **opt
     _show(partial(train_with_retries, compiled, retries, **options), quiet=quiet, as_json=as_json)
 
 
-def resume(group: Path, retries: int | None, placement: Placement, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
+def resume(group: Path, retries: int | None, executor: Executor, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
     """Continue a group, and show what its attempts came to."""
     from deepbots_cli.insight.retry import resume_retries
 
-    begin = partial(resume_retries, group, retries=retries, placement=placement, permissions=permissions, progress=not quiet)
+    begin = partial(resume_retries, group, retries=retries, executor=executor, permissions=permissions, progress=not quiet)
     _show(begin, quiet=quiet, as_json=as_json)
 
 

@@ -22,10 +22,10 @@ _MAX_SHOWN = 10
 
 def continue_study(study: Study, workers: int | None, address: str | None, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
     """Train the trials of a study that are left, and show its table."""
-    with processes.spread(workers, address, study.record.trials, quiet=quiet) as spread:
+    with processes.executor(workers, address, study.record.trials, quiet=quiet) as executor:
         display = StudyDisplay(study, quiet=quiet)
         try:
-            done = run_study(study, reporter=display, permissions=permissions, spread=spread)
+            done = run_study(study, reporter=display, permissions=permissions, executor=executor)
         finally:
             display.stop()
     show_study(study, done=done, as_json=as_json)

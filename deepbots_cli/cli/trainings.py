@@ -25,8 +25,8 @@ from deepbots_cli.learning.verdict import run_verdict
 if TYPE_CHECKING:
     from deepbots_cli.insight.statements import Statement
     from deepbots_cli.learning import TrainingResult
+    from deepbots_cli.learning.executor import Executor
     from deepbots_cli.learning.group import GroupTraining
-    from deepbots_cli.learning.spread import Spread
 
 
 def announce_seed(seed: int, number: int, count: int) -> None:
@@ -54,11 +54,11 @@ def _evaluating(trained: Path, *, quiet: bool) -> Iterator[None]:
         raise typer.Exit(INTERRUPTED) from None
 
 
-def finish_group(group: GroupTraining, spread: Spread, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
+def finish_group(group: GroupTraining, executor: Executor, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
     """Show the trainings of a group; unless it was interrupted, evaluate all of its runs and name the next commands."""
     _show_training(records.group_training_text(group), {"training": vars(group), "evaluation": None}, group.interrupted, as_json=as_json)
     with _evaluating(group.group, quiet=quiet), terminal.progress("runs", always=False) as show_run:
-        evaluation = learning.evaluate_group(group.group, permissions=permissions, on_run=show_run, spread=spread)
+        evaluation = learning.evaluate_group(group.group, permissions=permissions, on_run=show_run, executor=executor)
     for found in evaluation.evaluations:
         records.write_evaluation(Run.open(found.run), records.evaluation_json(found))
     path = quote(str(group.group))

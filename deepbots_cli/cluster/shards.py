@@ -16,7 +16,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any, NamedTuple
 
-from deepbots_cli.cluster.executor import MAX_LOSSES, Executor, WorkerLost, library_versions, output_in
+from deepbots_cli.cluster.worker_pool import MAX_LOSSES, WorkerLost, WorkerPool, library_versions, output_in
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning.run import WORKERS_FOLDER, Run
@@ -87,7 +87,7 @@ class RemoteShards:
     """The shards of a training on workers.
 
     Args:
-        executor: What has the processes.
+        pool: What has the processes.
         run: The run, in a folder that all workers see.
         permissions: Those of the training.
         worlds: The numbers of the worlds of each shard.
@@ -96,15 +96,15 @@ class RemoteShards:
 
     def __init__(
         self,
-        executor: Executor,
+        pool: WorkerPool,
         run: Run,
         permissions: Permissions,
         worlds: Sequence[Sequence[int]],
         note: Callable[[str], None],
     ) -> None:
-        self._executor = executor
+        self._pool = pool
         self._run, self._permissions, self._worlds, self._note = run, permissions, worlds, note
-        self._wanted = min(executor.workers, len(worlds))
+        self._wanted = min(pool.workers, len(worlds))
         self._workers: dict[int, Any] = {}
         self._homes: list[int | None] = [None] * len(worlds)
         """The worker of each shard; None after this was lost."""
@@ -127,7 +127,7 @@ class RemoteShards:
 
     def close(self) -> None:
         for worker in self._workers.values():
-            self._executor.end(worker)
+            self._pool.end(worker)
 
     def _work(
         self,
@@ -137,7 +137,7 @@ class RemoteShards:
     ) -> Callable[[], list[Any]]:
         """Ask all shards, each on its worker. The result waits for the answers, and replaces lost workers."""
         self._find_homes()
-        shared = self._executor.share(order)
+        shared = self._pool.share(order)
         answers: dict[int, Any] = {}
         losses: Counter[int] = Counter()
         waiting: dict[Any, tuple[int, int]] = {}
@@ -145,7 +145,7 @@ class RemoteShards:
         def ask(shard: int, *, anew: bool) -> None:
             home = self._home_of(shard)
             beginning = Beginning(self._worlds[shard], episodes[shard], self._permissions) if anew else None
-            waiting[self._executor.ask(self._workers[home], "work", shard, beginning, shared, memories[shard])] = (shard, home)
+            waiting[self._pool.ask(self._workers[home], "work", shard, beginning, shared, memories[shard])] = (shard, home)
 
         new, self._new = self._new, set()
         for shard in range(len(self._worlds)):
@@ -153,10 +153,10 @@ class RemoteShards:
 
         def wait() -> list[Any]:
             while waiting:
-                ready, *_ = self._executor.wait(waiting)
+                ready, *_ = self._pool.wait(waiting)
                 shard, worker = waiting.pop(ready)
                 try:
-                    answer = self._executor.answer(ready)
+                    answer = self._pool.answer(ready)
                 except WorkerLost as error:
                     lost = {call: other for call, (other, home) in waiting.items() if home == worker}
                     for call in lost:
@@ -213,16 +213,16 @@ class RemoteShards:
         if not missing or (self._workers and time.monotonic() < self._next_start):
             return
         waiting = self._begun(missing)
-        while not self._workers and not self._executor.wait(waiting, timeout_s=_READY_TIMEOUT_S):
-            self._executor.check()
-        ready = self._executor.wait(waiting, len(waiting), _READY_TIMEOUT_S) if waiting else ()
+        while not self._workers and not self._pool.wait(waiting, timeout_s=_READY_TIMEOUT_S):
+            self._pool.check()
+        ready = self._pool.wait(waiting, len(waiting), _READY_TIMEOUT_S) if waiting else ()
         for call in waiting.keys() - set(ready):  # its node was lost, or is busy with something else
-            self._executor.end(waiting[call][1])
+            self._pool.end(waiting[call][1])
         is_any_lost = len(ready) < len(waiting)
         for call in ready:
             number, worker = waiting[call]
             try:
-                self._check(self._executor.answer(call))
+                self._check(self._pool.answer(call))
             except WorkerLost:
                 is_any_lost = True
             else:
@@ -239,14 +239,14 @@ class RemoteShards:
     def _begun(self, missing: int) -> dict[Any, tuple[int, Any]]:
         """Begin to start as many of the missing workers as the cluster has room for, at least one if there is none: the calls to wait
         for, with number and worker."""
-        free = self._executor.free()
+        free = self._pool.free()
         if not self._workers and not free and not self._vain_starts:
             self._note("waiting for a free CPU in the cluster")
         waiting = {}
         for _ in range(min(missing, free) if self._workers else max(1, min(missing, free))):
             number, self._started = self._started, self._started + 1
-            worker = self._executor.start(ShardWorker, self._run.path.absolute(), number)
-            waiting[self._executor.ask(worker, "describe")] = (number, worker)
+            worker = self._pool.start(ShardWorker, self._run.path.absolute(), number)
+            waiting[self._pool.ask(worker, "describe")] = (number, worker)
         return waiting
 
     def _check(self, there: dict[str, str]) -> None:

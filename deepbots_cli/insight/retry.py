@@ -28,6 +28,7 @@ from deepbots_cli.insight.ends import TOTAL_TIMESTEPS
 from deepbots_cli.insight.linted import named_source
 from deepbots_cli.insight.statements import Statement
 from deepbots_cli.learning.campaign import evaluate_once, train_member
+from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.group import MAX_RETRIES, Group, RetryAttempt, new_record
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.run import (
@@ -38,7 +39,6 @@ from deepbots_cli.learning.run import (
     new_directory,
     run_lock,
 )
-from deepbots_cli.learning.shards import THIS_PROCESS, Placement
 from deepbots_cli.learning.verdict import RunVerdict
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
@@ -82,7 +82,7 @@ def train_with_retries(
     group: str | Path | None = None,
     runs: str | Path = "runs",
     progress: bool | Reporter = False,
-    placement: Placement = THIS_PROCESS,
+    executor: Executor = SERIAL,
     on_attempt: OnAttempt | None = None,
     on_episode: OnEpisode = None,
     **options: Unpack[TrainingOptions],
@@ -107,7 +107,7 @@ def train_with_retries(
         raise UsageError(f"{name} does not say when it is solved; add `solved`, such as `solved: mean_return >= 100 over 100 episodes`")
     path = new_directory(group, runs, compiled.program.name, "retry")
     with Group.created(path, new_record(compiled, [seed], options, retries), compiled) as created:
-        return _Retries(created, compiled.permissions, progress, placement, on_attempt, on_episode).run()
+        return _Retries(created, compiled.permissions, progress, executor, on_attempt, on_episode).run()
 
 
 def resume_retries(
@@ -116,7 +116,7 @@ def resume_retries(
     retries: int | None = None,
     progress: bool | Reporter = False,
     permissions: Permissions = Permissions(),
-    placement: Placement = THIS_PROCESS,
+    executor: Executor = SERIAL,
     on_attempt: OnAttempt | None = None,
     on_episode: OnEpisode = None,
 ) -> RetriedTraining:
@@ -133,7 +133,7 @@ def resume_retries(
         if retries is not None and retries != resumed.record.retries:
             _check_number(retries)
             resumed = resumed.changed(retries=retries)
-        return _Retries(resumed, permissions, progress, placement, on_attempt, on_episode).run()
+        return _Retries(resumed, permissions, progress, executor, on_attempt, on_episode).run()
 
 
 def _check_number(retries: int) -> None:
@@ -148,7 +148,7 @@ class _Retries:
     group: Group
     permissions: Permissions
     progress: bool | Reporter
-    placement: Placement
+    executor: Executor
     on_attempt: OnAttempt | None
     on_episode: OnEpisode
 
@@ -200,7 +200,7 @@ class _Retries:
         options = record.options | {"command": self._command(number)}
         if TOTAL_TIMESTEPS in attempt.settings:
             options["total_timesteps"] = None
-        further: dict[str, Any] = {"progress": self.progress, "placement": self.placement}
+        further: dict[str, Any] = {"progress": self.progress, "executor": self.executor}
         return train_member(path, compiled, record.seeds[0], options, changes, **further)
 
     def _is_longer(self, attempt: RetryAttempt) -> bool:

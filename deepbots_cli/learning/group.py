@@ -7,7 +7,7 @@
     └── seed-0/, seed-1/ ... the runs
 
 The runs of `train --retry` are `try-1`, `try-2`, ... instead: one seed, with other values under `train` each (`insight/retry.py`).
-The seeds are trained one after the other, or on workers (`spread`): then a training whose worker was lost is resumed by another one, to
+The seeds are trained one after the other, or on workers (`executor`): then a training whose worker was lost is resumed by another one, to
 the same bytes. Importing this module does not load torch.
 """
 
@@ -29,6 +29,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
 from deepbots_cli.learning.campaign import MAX_SEEDS, Campaign, CampaignRecord, Member, train_member
+from deepbots_cli.learning.executor import SERIAL, Attempt, CallOptions, Executor
 from deepbots_cli.learning.order import Measure, Rank, measure_of, rank
 from deepbots_cli.learning.report import GroupProgressReporter, GroupReporter, Reporter, TrainingProgress
 from deepbots_cli.learning.run import (
@@ -39,7 +40,6 @@ from deepbots_cli.learning.run import (
     new_directory,
     run_lock,
 )
-from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, CallOptions, Spread
 from deepbots_cli.learning.verdict import RunVerdict, run_verdict
 from deepbots_cli.rollout.source import GROUP_RECORD_NAME, SourceKind, folder_kind
 
@@ -209,7 +209,7 @@ def train_group(
     on_seed: OnSeed | None = None,
     on_evaluation: OnEvaluation | None = None,
     build: WorldFactory | None = None,
-    spread: Spread = ONE_BY_ONE,
+    executor: Executor = SERIAL,
     **options: Unpack[TrainingOptions],
 ) -> GroupTraining:
     """Train a scenario with several seeds in a new folder.
@@ -223,7 +223,7 @@ def train_group(
         progress: Whether to report progress on standard error, or your own `Reporter`; on workers it is a table of all trainings.
         on_seed: Is called before each training in this process; where it returns False, the group ends.
         on_evaluation: As for `train`, for each training in this process.
-        spread: Where the trainings run; the result does not depend on it. By default they run in this process, one after the other.
+        executor: Where the trainings run; the result does not depend on it. By default they run in this process, one after the other.
         options: Those of `train`; the arguments `runs` and `build` are as there, too.
 
     Raises:
@@ -240,7 +240,7 @@ def train_group(
     checked_settings(compiled.program, seeds, **options)
     path = new_directory(group, runs, compiled.program.name, "seeds")
     with Group.created(path, new_record(compiled, seeds, options), compiled) as created:
-        return _train_seeds(created, compiled, {}, on_seed, progress, build, spread, on_evaluation)
+        return _train_seeds(created, compiled, {}, on_seed, progress, build, executor, on_evaluation)
 
 
 def new_record(compiled: Compiled, seeds: Sequence[int], options: TrainingOptions, retries: int = 0) -> GroupRecord:
@@ -266,7 +266,7 @@ def resume_group(
     on_seed: OnSeed | None = None,
     on_evaluation: OnEvaluation | None = None,
     build: WorldFactory | None = None,
-    spread: Spread = ONE_BY_ONE,
+    executor: Executor = SERIAL,
 ) -> GroupTraining:
     """Continue a group: finished seeds are skipped, interrupted ones continue from their last checkpoint, the others begin.
 
@@ -289,7 +289,7 @@ def resume_group(
             resumed = resumed.changed(**followers)
         changes = followers | {name: value for name, value in totals.items() if value is not None}
         compiled = resumed.compiled(permissions=permissions)
-        return _train_seeds(resumed, compiled, changes, on_seed, progress, build, spread, on_evaluation)
+        return _train_seeds(resumed, compiled, changes, on_seed, progress, build, executor, on_evaluation)
 
 
 def _train_seeds(
@@ -299,7 +299,7 @@ def _train_seeds(
     on_seed: OnSeed | None,
     progress: bool | Reporter,
     build: WorldFactory | None,
-    spread: Spread,
+    executor: Executor,
     on_evaluation: OnEvaluation | None,
 ) -> GroupTraining:
     """Train or continue every seed that is not finished, with `changes` of the options that the group began with."""
@@ -313,7 +313,7 @@ def _train_seeds(
     failed: dict[int, str] = {}
     with ExitStack() as stack:
         on_workers: CallOptions = {}
-        if spread.is_here:
+        if executor.is_here:
             begins = [None if on_seed is None else partial(on_seed, seed, number, len(seeds)) for number, seed in enumerate(seeds, 1)]
             own = {"progress": progress, "build": build, "on_evaluation": on_evaluation}
             items = [replace(item, own=own, begin=begins[seeds.index(item.seed)]) for item in items]
@@ -326,7 +326,7 @@ def _train_seeds(
             stack.enter_context(signals_handled(interruption))
             on_workers = {"watcher": reporter, "stop": partial(_stops, interruption, reporter)}
             on_workers |= {"files": [group.path / GROUP_RECORD_NAME], "log": partial(_log_of, group.path)}
-        found = stack.enter_context(closing(spread.map(_train_seed, items, **on_workers)))
+        found = stack.enter_context(closing(executor.map(_train_seed, items, **on_workers)))
         with suppress(KeyboardInterrupt):  # before a training handles it itself, or a second one
             for seed, outcome in zip(left, found, strict=False):
                 if isinstance(outcome, DeepbotsError):
@@ -335,9 +335,9 @@ def _train_seeds(
                     failed[seed] = outcome.full_message
                 elif outcome is not None:
                     trained.append(outcome)
-                    if spread.is_here and outcome.stop_requested:
+                    if executor.is_here and outcome.stop_requested:
                         break
-                elif spread.is_here:
+                elif executor.is_here:
                     break
     done = {result.run for result in trained if not result.interrupted}
     waiting = tuple(seed for seed in left if seed not in failed and group.run(seed) not in done)

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, TextIO
 from pydantic import BaseModel
 
 from deepbots_cli.learning.episodes import SUCCESS_STATISTICS
+from deepbots_cli.learning.executor import Watcher
 from deepbots_cli.learning.order import Candidate, Measure
 from deepbots_cli.learning.run import TrainingResult
-from deepbots_cli.learning.spread import Watcher
 from deepbots_cli.program.task import Solved
 
 if TYPE_CHECKING:

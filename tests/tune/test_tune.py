@@ -137,7 +137,7 @@ def test_trials_on_workers_give_the_same_after_a_worker_was_killed(file: Path, w
 
     study = made(file, tmp_path / "workers", prune=False)
     with Cluster(workers=2) as workers:
-        assert run_study(study, reporter=Killer(), spread=workers)
+        assert run_study(study, reporter=Killer(), executor=workers)
     assert killed
     assert results(study) == results(whole)
     assert weights(study) == weights(whole)

@@ -91,8 +91,8 @@ def resume(
         return
     if group is not None and group.attempts:
         _refuse_others("a group of `train --retry`", options, "--retry")
-        with processes.placement(workers, address, quiet=quiet) as placement:
-            retries.resume(trained, retry, placement, **shown)
+        with processes.executor(workers, address, quiet=quiet) as executor:
+            retries.resume(trained, retry, executor, **shown)
         return
     if callbacks or loggers:
         from deepbots_cli.learning.sb3 import plugins  # which imports torch
@@ -104,18 +104,18 @@ def resume(
     settings["loggers"] = None if loggers is None else names(loggers)
     if group is not None:
         _refuse_others("a group of seeds", options, *changes)
-        with processes.spread(workers, address, len(group.record.seeds), quiet=quiet) as spread:
+        with processes.executor(workers, address, len(group.record.seeds), quiet=quiet) as executor:
             announce = None if quiet else trainings.announce_seed
-            training = learning.resume_group(trained, on_seed=announce, spread=spread, **settings)
-            trainings.finish_group(training, spread, **shown)
+            training = learning.resume_group(trained, on_seed=announce, executor=executor, **settings)
+            trainings.finish_group(training, executor, **shown)
         return
     _refuse_others("a run", options, *changes, "--view")
     with (
         training_page(wanted=to_view, permissions=permissions) as show_page,
-        processes.placement(workers, address, quiet=quiet) as placement,
+        processes.executor(workers, address, quiet=quiet) as executor,
     ):
         show_page(trained)
-        result = learning.resume(trained, placement=placement, **settings)
+        result = learning.resume(trained, executor=executor, **settings)
     trainings.finish(result, **shown)
 
 

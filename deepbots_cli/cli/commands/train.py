@@ -39,7 +39,7 @@ from deepbots_cli.rollout.source import RECORDING_SUFFIX
 from deepbots_cli.scenario.training import MAX_SHARDS
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.shards import Placement
+    from deepbots_cli.learning.executor import Executor
     from deepbots_cli.program import Program
 
 
@@ -185,19 +185,19 @@ def command(
             throughput.note_faster_engine(compiled.program, timesteps, permissions=permissions)
     shown: dict[str, Any] = {"quiet": quiet, "as_json": as_json, "permissions": permissions}
     if listed is not None:
-        with processes.spread(workers, address, len(listed), quiet=quiet) as spread:
+        with processes.executor(workers, address, len(listed), quiet=quiet) as executor:
             announce = None if quiet else trainings.announce_seed
-            group = learning.train_group(compiled, listed, group=run, on_seed=announce, spread=spread, **settings)
-            trainings.finish_group(group, spread, **shown)
+            group = learning.train_group(compiled, listed, group=run, on_seed=announce, executor=executor, **settings)
+            trainings.finish_group(group, executor, **shown)
         return
     with (
         training_page(wanted=to_view, permissions=permissions) as show_page,
-        processes.placement(workers, address, quiet=quiet) as placement,
+        processes.executor(workers, address, quiet=quiet) as executor,
     ):
         if shards == "auto":
-            compiled = _with_fastest_shards(scenario, compiled, undivided, placement, seed or 0, permissions)
+            compiled = _with_fastest_shards(scenario, compiled, undivided, executor, seed or 0, permissions)
         if retry is not None:
-            retries.train(compiled, retry, seed=seed or 0, group=run, placement=placement, quiet=quiet, as_json=as_json, **settings)
+            retries.train(compiled, retry, seed=seed or 0, group=run, executor=executor, quiet=quiet, as_json=as_json, **settings)
             return
 
         def begin(path: Path) -> None:
@@ -205,7 +205,7 @@ def command(
                 terminal.note(f"the run is {path}")
             show_page(path)
 
-        result = learning.train(compiled, run=run, seed=seed or 0, on_start=begin, placement=placement, **settings)
+        result = learning.train(compiled, run=run, seed=seed or 0, on_start=begin, executor=executor, **settings)
     trainings.finish(result, **shown)
 
 
@@ -243,23 +243,22 @@ def _checked_workers(
 
 
 def _with_fastest_shards(
-    scenario: str, compiled: api.Compiled, overrides: list[str], placement: Placement, seed: int, permissions: Permissions
+    scenario: str, compiled: api.Compiled, overrides: list[str], executor: Executor, seed: int, permissions: Permissions
 ) -> api.Compiled:
     """The scenario with the number of shards that trains fastest."""
-    from deepbots_cli.cluster import Cluster
     from deepbots_cli.learning import scaling
 
     training = compiled.program.agent.training
-    if training is None or not isinstance(placement, Cluster):
+    if training is None or executor.is_here:
         return compiled
-    numbers = scaling.candidates(training.environments, placement.workers)
+    numbers = scaling.candidates(training.environments, executor.workers)
     if len(numbers) == 1:
         terminal.note("the training has 1 shard: there is nothing to divide, with one environment or one worker")
         return compiled
-    folder = None if placement.is_on_this_machine else Path.cwd()
+    folder = None if executor.is_on_this_machine else Path.cwd()
     with terminal.progress("measurements") as show:
         timings = scaling.measure(
-            scenario, numbers, placement, overrides=overrides, permissions=permissions, seed=seed, folder=folder, on_measured=show
+            scenario, numbers, executor, overrides=overrides, permissions=permissions, seed=seed, folder=folder, on_measured=show
         )
     chosen = scaling.choose(timings)
     terminal.note(scaling.described(timings, chosen))
