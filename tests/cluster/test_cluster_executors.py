@@ -19,8 +19,7 @@ from deepbots_cli.cli import main, processes
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning import train_group
-from deepbots_cli.learning.executor import Watcher, results
-from deepbots_cli.learning.shards import SERIAL
+from deepbots_cli.learning.executor import SERIAL, Watcher, results
 from tests.cluster.calls import imported, lose, priority, square
 
 
