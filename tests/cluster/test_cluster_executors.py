@@ -138,9 +138,8 @@ def test_workers_have_our_priority(cluster: Cluster) -> None:
 
 def test_more_workers_than_cores_are_noted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(processes, "available_cores", lambda: 1)
-    with processes.cluster(2, None, quiet=False) as found:
-        assert found is not None
-        assert found.workers == 2
+    with processes.executor(2, None) as executor:
+        assert executor.workers == 2
     assert capsys.readouterr().err == "2 workers share 1 core; more workers than cores are not faster\n"
 
 
