@@ -246,7 +246,12 @@ class Simulator:
         if report:
             worth = float(np.dot(rewards, self._program.agent.discount ** np.arange(len(rewards))))
             limit = "limit" if environment.truncated else "left"
-            end = "success" if environment.is_success else "failure" if environment.terminated else limit
+            if environment.is_success:
+                end = "success"
+            elif environment.terminated:
+                end = "failure"
+            else:
+                end = limit
             episode = {
                 "policy": rollout.policy,
                 "seed": rollout.seed,
