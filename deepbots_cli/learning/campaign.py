@@ -26,7 +26,6 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError
-from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import (
     WORKERS_FOLDER,
     RecordFormat,
@@ -226,4 +225,4 @@ def evaluate_once(path: Path, permissions: Permissions, on_episode: Callable[[in
 
     run = Run.open(path)
     if quoted_evaluation(path, run.record) is None:
-        run.write_evaluation(to_json(evaluate(run, permissions=permissions, on_episode=on_episode)))
+        run.write_evaluation(evaluate(run, permissions=permissions, on_episode=on_episode).model_dump(mode="json"))

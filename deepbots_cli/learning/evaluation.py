@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain, pairwise
 from pathlib import Path
 from shlex import quote
 from typing import Any, NamedTuple
 
 import gymnasium as gym
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from deepbots_cli import api
 from deepbots_cli.analysis import possible_returns
@@ -23,11 +24,11 @@ from deepbots_cli.learning import learner
 from deepbots_cli.learning.confirmation import error_level
 from deepbots_cli.learning.draws import DrawLabel, DrawnEffects, by_drawn_value, draw_labels
 from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch, supervisor_factory
-from deepbots_cli.learning.episodes import UNBOUNDED, Summary
+from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, UNBOUNDED, Summary
 from deepbots_cli.learning.executor import SERIAL, UNWATCHED, Attempt, Executor, Watcher, results
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.learner import Learner, Setup
-from deepbots_cli.learning.run import ModelName, ModelRef, Run, in_parentheses, remark_on_episodes
+from deepbots_cli.learning.run import Evaluation, ModelName, ModelRef, Run, in_parentheses, remark_on_episodes
 from deepbots_cli.learning.sb3.algorithms import torch_settings
 from deepbots_cli.learning.statistics import ALPHA
 from deepbots_cli.learning.verdict import quoted_episodes, solved_verdict
@@ -46,23 +47,12 @@ MAX_BATCH_WORLDS = 32
 """Worlds of a batch. What a batch does per step over arrays takes as long as 5 single worlds; those that end early rest at the end."""
 
 
-@dataclass(frozen=True)
-class EvaluationResult(Summary):
+class EvaluationResult(Summary, Evaluation, frozen=True):
     """The result of a policy in held-out episodes: their summary, the circumstances, and the episodes themselves.
 
+    As JSON it has the effects of drawn values in place of `draws`, and statistics of a success that is not defined are None.
+
     Attributes:
-        engine: None if `build` made the worlds.
-        case: Name of the case; None for the scenario itself. The same holds for `stage`.
-        elsewhere: Name of the scenario if it is not that of the training; `set` are the assignments of `--set`, `digest` is its digest.
-        agent: Name of the agent whose return is reported.
-        model: The name of the model, such as `best` or `last`, or that of a baseline: `random`, `zero`, `script NAME`.
-        model_steps: The steps of the training after which the model was saved; None for a baseline.
-        confirmation: The number of the confirmation that ended the training, if these are its episodes. The intervals then cover all
-            confirmations of the training together.
-        planned: Requested number of episodes; larger than `episodes` if a requirement stopped the evaluation early.
-        circumstances: Differences from an evaluation of the best model in the scenario of the training, in words.
-        success_defined: Whether the scenario defines success; if not, the success rate is 0 without a meaning.
-        solved: None if the scenario has no `solved`, or if its criterion needs more episodes (`required_episodes`) than were run.
         verdict: `solved` in words.
         return_bounds: Smallest and largest possible return of an episode, if deepbots can derive them from rewards and time limit.
             Confidence intervals are cut at them.
@@ -72,28 +62,11 @@ class EvaluationResult(Summary):
 
     run: Path
     scenario: str
-    engine: str | None
-    case: str | None
-    stage: str | None
-    elsewhere: str | None
-    set: tuple[str, ...]
-    digest: str
-    agent: str
-    model: str
-    model_steps: int | None
-    confirmation: int | None
-    seed: int
-    planned: int
-    required_episodes: int | None
-    deterministic: bool
-    circumstances: tuple[str, ...]
-    success_defined: bool
-    solved: bool | None
     verdict: str
     notes: tuple[str, ...]
     return_bounds: tuple[float | None, float | None]
-    outcomes: tuple[Episode, ...] = field(repr=False)
-    draws: Mapping[str, DrawLabel] = field(repr=False)
+    outcomes: tuple[Episode, ...] = Field(repr=False)
+    draws: Mapping[str, DrawLabel] = Field(repr=False, exclude=True)
 
     @property
     def possible_returns(self) -> tuple[float, float]:
@@ -102,14 +75,14 @@ class EvaluationResult(Summary):
         return -math.inf if low is None else low, math.inf if high is None else high
 
     @property
-    def remarks(self) -> tuple[str, ...]:
-        """`circumstances`, and remarks on the number of episodes."""
-        return (*self.circumstances, *remark_on_episodes(self.episodes, self.planned, self.required_episodes))
-
-    @property
     def by_drawn_value(self) -> DrawnEffects:
         """The effects of drawn values, and success and return in a few parts of the range of each."""
         return by_drawn_value(self.outcomes, self.draws, self.possible_returns)
+
+    @model_serializer(mode="wrap")
+    def _with_effects(self, fields: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        data = fields(self) | ({} if self.success_defined else dict.fromkeys(SUCCESS_STATISTICS))
+        return data | {"by_drawn_value": self.by_drawn_value.as_json(success_defined=self.success_defined)}
 
 
 def evaluate(
@@ -441,7 +414,6 @@ class _Setting:
             confirmation = run.record.result.confirmations
         low, high = possible_returns(program) if engine else UNBOUNDED  # a world of the caller may pay anything
         file = self.run.model(model)
-        found = Summary.of_episodes(done, (low, high), ALPHA if confirmation is None else error_level(confirmation))
         is_confirmed = run.record.result is not None and run.record.result.confirmed_seed is not None
         number = 1 if run.record.result is None else run.record.result.confirmations + 1
         needs_no_confirmation = confirmation is not None or (is_confirmed and model == "best" and self._is_of_training)
@@ -460,8 +432,10 @@ class _Setting:
         notes = [*run.notes(), *identity.timing_differences(run.program, program)]
         if confirmation is not None:
             notes.append(f"these starts confirmed that the task is solved (confirmation {confirmation}), and ended the training")
-        return EvaluationResult(
-            **vars(found),
+        return EvaluationResult.of_episodes(
+            done,
+            (low, high),
+            ALPHA if confirmation is None else error_level(confirmation),
             run=run.path,
             scenario=program.name,
             model=model,

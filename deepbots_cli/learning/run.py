@@ -45,7 +45,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
 from deepbots_cli.files import atomic_write, unwritable_message
 from deepbots_cli.learning.curriculum import CompletedStage
-from deepbots_cli.learning.episodes import SolvedAt
+from deepbots_cli.learning.episodes import Scores, SolvedAt
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import ONLY_AGENT
 from deepbots_cli.rollout import Episode
@@ -453,16 +453,24 @@ class ModelRef:
         return self.run.path.name if self.name == "best" else f"{self.run.path.name} ({self.name})"
 
 
-class EvaluationRecord(BaseModel):
-    """An evaluation as `evaluations/NNNN.json` of a run keeps it, without its episodes.
+class Evaluation(Scores, frozen=True):
+    """The scores of a policy in held-out episodes, and the circumstances.
 
-    Fields are those of `EvaluationResult`. `evaluated` is a time in UTC. Evaluations of older versions have no `digest` and no
-    `model_steps`.
+    Attributes:
+        agent: Name of the agent whose return is reported.
+        model: The name of the model, such as `best` or `last`, or that of a baseline: `random`, `zero`, `script NAME`.
+        model_steps: The steps of the training after which the model was saved; None for a baseline.
+        confirmation: The number of the confirmation that ended the training, if these are its episodes. The intervals then cover all
+            confirmations of the training together.
+        case: Name of the case; None for the scenario itself. The same holds for `stage`.
+        success_defined: Whether the scenario defines success; if not, the success rate has no meaning.
+        solved: None if the scenario has no `solved`, or if its criterion needs more episodes (`required_episodes`) than were run.
+        elsewhere: Name of the scenario if it is not that of the training; `set` are the assignments of `--set`, `digest` is its digest.
+        engine: None if `build` made the worlds.
+        circumstances: Differences from an evaluation of the best model in the scenario of the training, in words.
+        planned: Requested number of episodes; larger than `episodes` if a requirement stopped the evaluation early.
     """
 
-    model_config = ConfigDict(frozen=True)
-
-    evaluated: str
     agent: str = ONLY_AGENT
     model: str
     model_steps: int | None = None
@@ -470,14 +478,8 @@ class EvaluationRecord(BaseModel):
     case: str | None = None
     stage: str | None = None
     seed: int
-    episodes: int
     deterministic: bool = True
-    mean_return: float
-    std_return: float | None = None
-    return_interval: tuple[float, float] | None
     success_defined: bool
-    success_rate: float | None
-    success_interval: tuple[float, float] | None
     solved: bool | None
     set: tuple[str, ...] = ()
     elsewhere: str | None = None
@@ -487,6 +489,20 @@ class EvaluationRecord(BaseModel):
     planned: int | None = None
     required_episodes: int | None = None
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """`circumstances`, and remarks on the number of episodes."""
+        return (*self.circumstances, *remark_on_episodes(self.episodes, self.planned, self.required_episodes))
+
+
+class EvaluationRecord(Evaluation, frozen=True):
+    """An evaluation as `evaluations/NNNN.json` of a run keeps it, without its episodes.
+
+    `evaluated` is a time in UTC. Evaluations of older versions have no `digest` and no `model_steps`.
+    """
+
+    evaluated: str
+
     @classmethod
     def read(cls, path: Path) -> Self:
         """An evaluation that was kept.
@@ -495,11 +511,6 @@ class EvaluationRecord(BaseModel):
             RunError: The file is damaged.
         """
         return read_json(path, cls, _MAX_EVALUATION_BYTES)
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What makes it differ from a whole evaluation of the best model in the scenario of the training."""
-        return (*self.circumstances, *remark_on_episodes(self.episodes, self.planned, self.required_episodes))
 
     @property
     def text(self) -> str:
@@ -530,7 +541,7 @@ def remark_on_episodes(episodes: int, planned: int | None, required: int | None)
 class EvaluationWithEpisodes(EvaluationRecord):
     """An evaluation that a run keeps, with its episodes."""
 
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(allow_inf_nan=False)
 
     outcomes: tuple[Episode, ...] = Field(min_length=1)
 

@@ -46,7 +46,7 @@ from deepbots_cli.learning.episodes import MAX_STEPS, EpisodeLog, Statistics, Su
 from deepbots_cli.learning.evaluation import confirmation_result
 from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.learner import Learner, Setup
-from deepbots_cli.learning.report import Reporter, reporter, to_json
+from deepbots_cli.learning.report import Reporter, reporter
 from deepbots_cli.learning.run import (
     FORMAT,
     BestModel,
@@ -54,7 +54,6 @@ from deepbots_cli.learning.run import (
     ModelRef,
     Run,
     RunRecord,
-    RunResult,
     Status,
     TrainingOptions,
     TrainingResult,
@@ -442,7 +441,10 @@ def run_training(
         raise _explained(error, run, checkpoints) from error
     finally:
         confirmed = callback.confirmed if run.record.stop_when_solved else None
-        result = RunResult(
+        result = TrainingResult(
+            run=run.path,
+            initialized_from=run.record.initialized_from,
+            stop_requested=callback.interruption.requested or status == "interrupted",
             status=status,
             steps=statistics.steps,
             total_timesteps=training.total_timesteps,
@@ -469,15 +471,14 @@ def run_training(
             elif RunRecord.read(run.path) != before:
                 write_record(run.path, before)
         _keep_confirmation(run, confirmed)
-    stopped = callback.interruption.requested or status == "interrupted"
-    return TrainingResult(run=run.path, initialized_from=run.record.initialized_from, stop_requested=stopped, **vars(result))
+    return result
 
 
 def _keep_confirmation(run: Run, confirmed: Confirmed | None) -> None:
     """Keep the confirmation that ended a training as an evaluation of its best model."""
     if confirmed is not None and run.record.status == "finished":
         result = confirmation_result(run, confirmed.number, confirmed.seed, confirmed.episodes)
-        run.write_evaluation(to_json(result))
+        run.write_evaluation(result.model_dump(mode="json"))
 
 
 def _best_model(callback: TrainingCallback) -> BestModel | None:

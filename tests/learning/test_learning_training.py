@@ -26,7 +26,7 @@ from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError
 from deepbots_cli.learning import TrainingResult, checkpoints, evaluate, resume, train
 from deepbots_cli.learning.episodes import read_evaluations
 from deepbots_cli.learning.order import Candidate
-from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal, to_json
+from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal
 from deepbots_cli.learning.run import Run, run_lock
 from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.learning.sb3.logs import TrainingLog
@@ -467,7 +467,7 @@ def python(code: str, *arguments: str, folder: Path) -> str:
 
 
 def test_results_are_json_and_text(trained: TrainingResult) -> None:
-    assert json.loads(json.dumps(to_json(trained)))["run"] == str(trained.run)
+    assert json.loads(json.dumps(trained.model_dump(mode="json")))["run"] == str(trained.run)
     assert str(trained.run) in training_text(trained)
 
 

@@ -35,7 +35,6 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import check_output
-from deepbots_cli.learning import report
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.run import ModelRef, Run, in_parentheses
 from deepbots_cli.program.identity import task_digest
@@ -267,7 +266,10 @@ class _EngineEvaluations:
     scenario: str | None
 
     def as_json(self) -> dict[str, Any]:
-        return {**records.evaluation_json(self.result, self.cases), "baselines": list(map(report.to_json, self.baselines))}
+        return {
+            **records.evaluation_json(self.result, self.cases),
+            "baselines": [each.model_dump(mode="json") for each in self.baselines],
+        }
 
     def lines(self, *, details: bool) -> Iterator[str]:
         yield records.evaluation_text(self.result, self.cases, scenario=self.scenario)

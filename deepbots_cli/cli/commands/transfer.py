@@ -22,7 +22,6 @@ from deepbots_cli.cli.tables import table
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.rollout.source import Source, SourceKind
 
@@ -272,7 +271,7 @@ def _verdict(found: Transfer) -> list[str]:
 def _data(found: Transfer) -> dict[str, Any]:
     return {
         "run": found.run,
-        "worlds": [{"name": name, **to_json(result)} for name, result in zip(found.names, (found.here, found.there), strict=True)],
+        "worlds": [{"name": name, **result.model_dump()} for name, result in zip(found.names, (found.here, found.there), strict=True)],
         "differences": [each._asdict() for each in found.comparison.differences],
         "causes": [each._asdict() for each in found.comparison.causes],
         "tried": found.comparison.tried,
