@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator, Mapping, Sequence
-from contextlib import ExitStack, closing
+from contextlib import closing
 from dataclasses import dataclass
 from itertools import chain, pairwise
 from pathlib import Path
@@ -16,17 +16,17 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from deepbots_cli import api
 from deepbots_cli.analysis import possible_returns
-from deepbots_cli.api import Compiled, build_batch
+from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import learner
 from deepbots_cli.learning.confirmation import error_level
 from deepbots_cli.learning.draws import DrawLabel, DrawnEffects, by_drawn_value, draw_labels
-from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch, supervisor_factory
+from deepbots_cli.learning.environments import WorldFactory, supervisor_factory
 from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, UNBOUNDED, Summary
 from deepbots_cli.learning.executor import SERIAL, UNWATCHED, Attempt, Executor, Watcher, results
-from deepbots_cli.learning.failures import FailureRecorder
+from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.run import Evaluation, ModelName, ModelRef, Run, in_parentheses, remark_on_episodes
 from deepbots_cli.learning.sb3.algorithms import torch_settings
@@ -36,7 +36,7 @@ from deepbots_cli.program import identity
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import RANDOM, ZERO, named_driver
 from deepbots_cli.rollout.episode import OnEpisode
-from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE, StopCondition, play_batch, play_episodes
+from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE, StopCondition, in_order
 from deepbots_cli.rollout.source import RECORD_NAME
 from deepbots_cli.rollout.worlds import has_copies
 from deepbots_cli.runtime.spaces import action_space, observation_space
@@ -149,12 +149,8 @@ def evaluate(
     given |= {"permissions": permissions, "engine": engine}
     calls = [_Part(setting.run, given, range(*part), policy) for part in pairwise(bounds)]
     watcher = _Finished(on_episode, setting.episodes)
-    done = []
     with closing(results(executor.map(_play_part, calls, watcher=watcher, files=[setting.run.path / RECORD_NAME]))) as found:
-        for episode in chain.from_iterable(found):
-            done.append(episode)
-            if until is not None and until(done):
-                break
+        done = in_order(enumerate(chain.from_iterable(found)), range(setting.episodes), until=until)
     return setting.result(model, done, deterministic=deterministic)
 
 
@@ -277,16 +273,13 @@ def evaluate_baselines(
     by the action space, which the seed of each episode seeds.
     """
     setting = _Setting(run, episodes, seed, scenario, case, stage, permissions, engine, build)
+    scripts = {f"script {script.name}": script.name for script in setting.program.agent.scripts}
+    starts = [Start.of_evaluation(setting.seed, number) for number in range(setting.episodes)]
     results = []
     with closing(setting.build(setting.program)) as world:
-        scripts = {f"script {script.name}": script.name for script in setting.program.agent.scripts}
         for name, driver in {RANDOM: RANDOM, ZERO: ZERO, **scripts}.items():
-            done = []
-            for number in range(setting.episodes):
-                done.append(play(world, named_driver(world, driver), Start.of_evaluation(setting.seed, number)))
-                if on_episode is not None:
-                    on_episode(len(done), setting.episodes)
-            results.append(setting.result(name, done))
+            finished = enumerate(play(world, named_driver(world, driver), start) for start in starts)
+            results.append(setting.result(name, in_order(finished, range(len(starts)), on_episode)))
     return tuple(results)
 
 
@@ -366,24 +359,22 @@ class _Setting:
         self, numbers: range, policy: _Policy, on_episode: OnEpisode | None = None, until: StopCondition | None = None
     ) -> list[Episode]:
         """The episodes of these numbers, the first of which is a multiple of `FORWARD_BATCH_SIZE`."""
-        program, make, engine, count = self.program, self.build, self.engine or "", len(numbers)
-        every = [derive_seed(self.seed, "evaluation", k) for k in range(numbers.stop)]
-        seeds = every[numbers.start :]
-        with torch_settings(), ExitStack() as stack:
-            together = min(count, MAX_BATCH_WORLDS)
-            if policy.deterministic and policy.copies is None and not reasons_against_batch(program, together, engine, make):
-                many = stack.enter_context(closing(build_batch(program, together, engine=engine)))
-                model = load_model(self.run, policy.model, many.singles[0])
-                done = play_batch(model, many, seeds, on_episode=on_episode, until=until)
-                if done is not None:
-                    return done
-            run, worlds = self.run if self.judged is None else None, []
-            copies = max(1, min(policy.copies or FORWARD_BATCH_SIZE, FORWARD_BATCH_SIZE)) if policy.deterministic else 1
-            for _ in range(min(count, copies)):
-                worlds.append(FailureRecorder(make(program), run, program, seeds=every, case=self.case, stage=self.stage))
-                stack.callback(worlds[-1].close)
-            model = load_model(self.run, policy.model, worlds[0])
-            return play_episodes(model, worlds, seeds, deterministic=policy.deterministic, on_episode=on_episode, until=until)
+        seeds, count = [derive_seed(self.seed, "evaluation", k) for k in range(numbers.stop)], len(numbers)
+        copies = max(1, min(policy.copies or FORWARD_BATCH_SIZE, FORWARD_BATCH_SIZE)) if policy.deterministic else 1
+        engine = self.engine if self.engine and policy.deterministic and policy.copies is None else ""
+        run = self.run if self.judged is None else None
+        made = EvaluationWorlds(self.build, run, engine=engine, batch=min(count, MAX_BATCH_WORLDS), singles=min(count, copies))
+        with torch_settings(), closing(made) as worlds:
+            worlds.enter(self.program, case=self.case, stage=self.stage)
+            model = load_model(self.run, policy.model, worlds.first)
+            return worlds.play(
+                model,
+                seeds,
+                numbers,
+                deterministic=policy.deterministic,
+                on_episode=on_episode,
+                until=until,
+            )
 
     @property
     def _is_of_training(self) -> bool:

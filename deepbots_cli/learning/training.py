@@ -29,12 +29,10 @@ from deepbots_cli.learning.callbacks import (
     EVALUATION_EPISODES,
     UNLIMITED_SHARE,
     Confirmed,
-    EvaluationWorld,
     Evaluator,
     OnEvaluation,
     TrainingCallback,
     check_finite,
-    evaluation_seeds,
     signals_handled,
 )
 from deepbots_cli.learning.checkpoint_files import damage_explained, latest_checkpoint
@@ -45,6 +43,7 @@ from deepbots_cli.learning.environments import WorldFactory, stepping_text, supe
 from deepbots_cli.learning.episodes import MAX_STEPS, EpisodeLog, Statistics, Summary
 from deepbots_cli.learning.evaluation import confirmation_result
 from deepbots_cli.learning.executor import SERIAL, Executor
+from deepbots_cli.learning.held_out import evaluation_seeds, play_script
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.report import Reporter, reporter
 from deepbots_cli.learning.run import (
@@ -518,9 +517,8 @@ def _check_teacher(teacher: Teacher, program: Program, stage: str | None, build:
     first = next((one.program for one in program.curriculum if stage in (None, one.name)), program)
     if not first.defines_success:
         return
-    world = EvaluationWorld(build)
     for count in (1, EVALUATION_EPISODES):
-        played = world.play_script(teacher.script, first, evaluation_seeds(seed, range(count)))
+        played = play_script(build, first, teacher.script, evaluation_seeds(seed, range(count)))
         if any(episode.is_success for episode in played):
             return
     found = f"the teacher `{teacher.script}` succeeds in none of {len(played)} episodes"
