@@ -16,7 +16,8 @@ from pathlib import Path
 from shlex import quote
 from typing import Any, NamedTuple
 
-from deepbots_cli.cluster.worker_pool import MAX_LOSSES, WorkerLost, WorkerPool, library_versions, output_in
+from deepbots_cli.cluster.worker_pool import MAX_LOSSES, Requirements, WorkerLost, WorkerPool, output_in
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning.run import WORKERS_FOLDER, Run
@@ -49,13 +50,13 @@ class ShardWorker:
         self._path, self._number = run, number
         self._shards: dict[int, Any] = {}
 
-    def describe(self) -> dict[str, str]:
-        """Where it runs and with what; `digest` is that of the scenario of the run, empty if this process does not see the run."""
-        try:
-            digest = Run.open(self._path).digest
-        except DeepbotsError:
-            digest = ""
-        return {"host": socket.gethostname(), **library_versions(), "digest": digest}
+    def unmet(self, requirements: Requirements, digest: str) -> str | None:
+        """What this process lacks, in a sentence; `digest` is that of the program of the run."""
+        reason = requirements.unmet()
+        if reason is None and Run.open(self._path).digest != digest:
+            host = socket.gethostname()
+            reason = f"the worker on {host} compiles the scenario to a different program; install the same version of deepbots"
+        return reason
 
     def work(self, number: int, beginning: Beginning | None, order: Order | EvaluationOrder | None, memory: Mapping[str, Array]) -> Any:
         """Make a shard if there is a `beginning`, and return the observations, or the answer to an order.
@@ -222,11 +223,13 @@ class RemoteShards:
         for call in ready:
             number, worker = waiting[call]
             try:
-                self._check(self._pool.answer(call))
+                reason = self._pool.answer(call)
             except WorkerLost:
                 is_any_lost = True
-            else:
-                self._workers[number] = worker
+                continue
+            if reason is not None:
+                raise UsageError(reason)
+            self._workers[number] = worker
         if is_any_lost:
             self._next_start = time.monotonic() + _READY_TIMEOUT_S
         self._vain_starts = 0 if self._workers else self._vain_starts + 1
@@ -242,23 +245,12 @@ class RemoteShards:
         free = self._pool.free()
         if not self._workers and not free and not self._vain_starts:
             self._note("waiting for a free CPU in the cluster")
-        waiting = {}
+        waiting, requirements = {}, Requirements.of_this_process([self._run.path / RESOLVED_NAME])
         for _ in range(min(missing, free) if self._workers else max(1, min(missing, free))):
             number, self._started = self._started, self._started + 1
             worker = self._pool.start(ShardWorker, self._run.path.absolute(), number)
-            waiting[self._pool.ask(worker, "describe")] = (number, worker)
+            waiting[self._pool.ask(worker, "unmet", requirements, self._run.digest)] = (number, worker)
         return waiting
-
-    def _check(self, there: dict[str, str]) -> None:
-        """Compare a worker with this process."""
-        host, digest = there.pop("host"), there.pop("digest")
-        if not digest:
-            raise UsageError(f"the worker on {host} does not see {self._run.path.absolute()}; train in a folder that all nodes share")
-        for name, version in library_versions().items():
-            if there.get(name) != version:
-                raise UsageError(f"the worker on {host} has {name} {there.get(name, 'not installed')}, but this process has {version}")
-        if digest != self._run.digest:
-            raise UsageError(f"the worker on {host} compiles the scenario to a different program; install the same version of deepbots")
 
     def _forget(self, lost: int) -> None:
         """A worker is lost: its shards have no home."""

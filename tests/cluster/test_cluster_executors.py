@@ -19,8 +19,7 @@ from deepbots_cli.cli import main, processes
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning import train_group
-from deepbots_cli.learning.executor import Watcher, results
-from deepbots_cli.learning.shards import SERIAL
+from deepbots_cli.learning.executor import SERIAL, Watcher, results
 from tests.cluster.calls import imported, lose, priority, square
 
 
@@ -139,9 +138,8 @@ def test_workers_have_our_priority(cluster: Cluster) -> None:
 
 def test_more_workers_than_cores_are_noted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(processes, "available_cores", lambda: 1)
-    with processes.cluster(2, None, quiet=False) as found:
-        assert found is not None
-        assert found.workers == 2
+    with processes.executor(2, None) as executor:
+        assert executor.workers == 2
     assert capsys.readouterr().err == "2 workers share 1 core; more workers than cores are not faster\n"
 
 

@@ -12,7 +12,7 @@ from test_cluster_shards import CASES, trained
 
 from deepbots_cli import api
 from deepbots_cli.cluster import Cluster
-from deepbots_cli.learning.shards import SERIAL
+from deepbots_cli.learning.executor import SERIAL
 from tests.cluster.nodes import cluster_of_nodes
 
 NODES = {"one node": (2,), "two nodes": (1, 1)}
