@@ -24,8 +24,11 @@ def check_dividable(workers: int | None, address: str | None, count: int, reason
 
 
 @contextmanager
-def executor(workers: int | None, address: str | None, count: int | None = None, *, quiet: bool = False) -> Iterator[Executor]:
-    """Where at most `count` calls run, or shards: in this process, unless an option names workers, which end with the block.
+def executor(
+    workers: int | None, address: str | None, count: int | None = None, *, quiet: bool = False
+) -> Iterator[Executor]:
+    """Where at most `count` calls run, or shards: in this process, unless an option names workers, which end
+    with the block.
 
     Raises:
         UsageError: Both options are given, or the cluster does not answer.
@@ -40,7 +43,10 @@ def executor(workers: int | None, address: str | None, count: int | None = None,
     if workers is not None:
         workers = workers if count is None else min(workers, count)
         if workers > (cores := available_cores()) and not quiet:
-            terminal.note(f"{workers} workers share {cores} core{'' if cores == 1 else 's'}; more workers than cores are not faster")
+            terminal.note(
+                f"{workers} workers share {cores} core{'' if cores == 1 else 's'}; more workers than cores"
+                " are not faster"
+            )
     cluster = Cluster(workers=workers, address=address)
     with terminal.transient_line("" if quiet or address is None else f"joining {address} ..."):
         cluster.__enter__()

@@ -18,12 +18,13 @@ MAX_TEXT = 10_000
 
 def written_unit(unit: str, *texts: str) -> Unit | None:
     """The first unit in the texts that measures the same as the SI unit `unit`, or None."""
-    units = (found for text in texts for found in units_in(text))
-    return next((found for found in units if str(found.dimension) == unit), None)
+    units = (candidate for text in texts for candidate in units_in(text))
+    return next((candidate for candidate in units if str(candidate.dimension) == unit), None)
 
 
 def usual_unit(unit: str) -> Unit:
-    """The unit in which people read a quantity in the SI unit `unit` that no text writes: deg for rad, else the SI unit."""
+    """The unit in which people read a quantity in the SI unit `unit` that no text writes: deg for rad, else
+    the SI unit."""
     return unit_named(_USUAL.get(unit, unit))
 
 

@@ -48,7 +48,13 @@ from deepbots_cli.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.comparison import Comparison, GroupResult, compare, evaluate_group
-    from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, evaluate_baselines, evaluate_cases, evaluate_trained
+    from deepbots_cli.learning.evaluation import (
+        EvaluationResult,
+        evaluate,
+        evaluate_baselines,
+        evaluate_cases,
+        evaluate_trained,
+    )
     from deepbots_cli.learning.group import resume_group, train_group
     from deepbots_cli.learning.policy import Policy, load_policy
     from deepbots_cli.learning.robustness import Robustness, evaluate_robustness
@@ -57,7 +63,13 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "comparison": ("Comparison", "GroupResult", "compare", "evaluate_group"),
-    "evaluation": ("EvaluationResult", "evaluate", "evaluate_baselines", "evaluate_cases", "evaluate_trained"),
+    "evaluation": (
+        "EvaluationResult",
+        "evaluate",
+        "evaluate_baselines",
+        "evaluate_cases",
+        "evaluate_trained",
+    ),
     "group": ("resume_group", "train_group"),
     "policy": ("Policy", "load_policy"),
     "robustness": ("Robustness", "evaluate_robustness"),
@@ -96,4 +108,6 @@ def __getattr__(name: str) -> object:
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("deepbots_cli"):
             raise
-        raise MissingExtraError("train", "training" if _HOMES[name] in ("group", "training") else "evaluating") from error
+        raise MissingExtraError(
+            "train", "training" if _HOMES[name] in ("group", "training") else "evaluating"
+        ) from error

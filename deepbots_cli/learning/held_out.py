@@ -33,7 +33,15 @@ class EvaluationWorlds:
         singles: The number of single worlds.
     """
 
-    def __init__(self, build: WorldFactory, run: Run | None = None, *, engine: str = "", batch: int = 0, singles: int = 1) -> None:
+    def __init__(
+        self,
+        build: WorldFactory,
+        run: Run | None = None,
+        *,
+        engine: str = "",
+        batch: int = 0,
+        singles: int = 1,
+    ) -> None:
         self._build, self._run, self._engine, self._size, self._count = build, run, engine, batch, singles
         self._program: Program | None = None
         self._batch: BatchSupervisor | None = None
@@ -69,8 +77,8 @@ class EvaluationWorlds:
     ) -> list[Episode]:
         """An episode from each seed, or only the episodes with these `numbers`.
 
-        They are the same in a batch and in any number of single worlds. With `until`, they end with the first episode for which it
-        returns True.
+        They are the same in a batch and in any number of single worlds. With `until`, they end with the first
+        episode for which it returns True.
         """
         numbers = range(len(seeds)) if numbers is None else numbers
         if self._batch is not None and self.has_batch_for(len(numbers)):
@@ -86,7 +94,9 @@ class EvaluationWorlds:
     def _single_worlds(self) -> list[FailureRecorder]:
         while self._program is not None and len(self._singles) < self._count:
             world = self._build(self._program)
-            self._singles.append(FailureRecorder(world, self._run, self._program, case=self._case, stage=self._stage))
+            self._singles.append(
+                FailureRecorder(world, self._run, self._program, case=self._case, stage=self._stage)
+            )
         return self._singles
 
     def close(self) -> None:
@@ -102,11 +112,12 @@ def play_script(build: WorldFactory, program: Program, name: str, seeds: Sequenc
 
 
 def evaluation_seeds(seed: int, numbers: range) -> list[int]:
-    """The starts of evaluations during a training with the root seed `seed`, which neither the training nor a later
-    evaluation has. Each evaluation has the first `EVALUATION_EPISODES` of them."""
+    """The starts of evaluations during a training with the root seed `seed`, which neither the training nor a
+    later evaluation has. Each evaluation has the first `EVALUATION_EPISODES` of them."""
     return [derive_seed(seed, "trial", number) for number in numbers]
 
 
 def confirmation_root(seed: int, number: int) -> int:
-    """The root seed of the starts of a confirmation, by its number from 1: six digits, which are easy to repeat."""
+    """The root seed of the starts of a confirmation, by its number from 1: six digits, which are easy to
+    repeat."""
     return 100_000 + derive_seed(seed, "confirmation", number) % 900_000

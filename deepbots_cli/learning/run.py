@@ -3,18 +3,22 @@
     runs/cartpole-0-1/
     ├── run.json             command, seeds, digests, versions, status, result
     ├── inputs/              a copy of every file that the scenario was read from, meshes too
-    ├── resolved.yaml        the scenario after includes and overrides, with paths to the copies; the run is loaded from it
+    ├── resolved.yaml        the scenario after includes and overrides, with paths to the copies; the run is
+    │                        loaded from it
     ├── environment.py       the generated code, to read; it is never run from here
     ├── demonstrations.mcap  a copy of the recording that teaches the policy
     ├── monitor.csv          a line per episode
     ├── tensorboard/
-    ├── models/agent/        best.zip, last.zip: models of the learner; candidate-000000020000.zip of the best evaluations;
-    │                        step-000020000.zip with --keep-checkpoints; earlier-1.zip was the best before `eval --keep`
+    ├── models/agent/        best.zip, last.zip: models of the learner; candidate-000000020000.zip of the best
+    │                        evaluations;
+    │                        step-000020000.zip with --keep-checkpoints; earlier-1.zip was the best before
+    │                        `eval --keep`
     ├── evaluations/         training.jsonl, and a file for each later evaluation, with its episodes
     ├── logs/                what callbacks and loggers append
     └── checkpoints/         what a resumed training goes on from
 
-A directory is made once and never overwritten. All files are replaced whole, so a killed process leaves a usable run.
+A directory is made once and never overwritten. All files are replaced whole, so a killed process leaves a
+usable run.
 """
 
 from __future__ import annotations
@@ -56,14 +60,16 @@ FORMAT = 5
 """Of the run directory as a whole; raised when an older deepbots could no longer read it."""
 
 ModelName = str
-"""The name of a file in `models/agent` of a run, without its suffix: `best`, `last`, `candidate-000000020000`, `step-000020000`."""
+"""The name of a file in `models/agent` of a run, without its suffix: `best`, `last`,
+`candidate-000000020000`, `step-000020000`."""
 Status = Literal["running", "finished", "interrupted", "failed"]
 M = TypeVar("M", bound=BaseModel)
 
 WORKERS_FOLDER = "workers"
 """The output of workers, in the folder of a run, a group or a study."""
 _END_TIMEOUT_S = 60.0
-"""How long to wait for the end of a training whose worker was lost: a process ends some time after its node was lost."""
+"""How long to wait for the end of a training whose worker was lost: a process ends some time after its node
+was lost."""
 _MAX_RECORD_BYTES = 4_000_000
 _MAX_EVALUATION_BYTES = 200_000_000
 _VERSIONED_PACKAGES = ("gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch")
@@ -81,16 +87,17 @@ class BestModel(BaseModel):
 
     Attributes:
         steps: The steps of the training after which it was saved; None where this was not recorded.
-        chosen_by: `confirmation`: it ended the training. `new starts`: the models of the best evaluations played new
-            starts. `evaluation`: there was no second model, or the training was interrupted. `return`: by the mean return
-            of an evaluation, in versions before 0.2. `hand`: a person named it (`eval MODEL --keep`).
+        chosen_by: `confirmation`: it ended the training. `new starts`: the models of the best evaluations
+            played new starts. `evaluation`: there was no second model, or the training was interrupted.
+            `return`: by the mean return of an evaluation, in versions before 0.2. `hand`: a person named it
+            (`eval MODEL --keep`).
         measure: What the task asks for, by which it was chosen.
-        episodes: The held-out episodes that chose it, of which the other values are; they are better than those of new
-            episodes on average, because they chose it.
+        episodes: The held-out episodes that chose it, of which the other values are; they are better than
+            those of new episodes on average, because they chose it.
         success_rate: None where the scenario defines no success.
         mean_return: None if a person chose it.
-        evaluation_seed: The root seed of the starts on which `eval --keep` evaluated it after it was chosen, so that they did not choose
-            it.
+        evaluation_seed: The root seed of the starts on which `eval --keep` evaluated it after it was chosen,
+            so that they did not choose it.
     """
 
     model_config = ConfigDict(frozen=True, strict=True)
@@ -113,7 +120,11 @@ class BestModel(BaseModel):
             return f"{after}chosen by hand"
         if self.chosen_by == "confirmation":
             return f"{after}by the confirmation that ended the training"
-        where = "on new starts" if self.chosen_by == "new starts" else f"in an evaluation of {self.episodes} episodes"
+        where = (
+            "on new starts"
+            if self.chosen_by == "new starts"
+            else f"in an evaluation of {self.episodes} episodes"
+        )
         return f"{after}by {self.measure.replace('_', ' ')} {where}"
 
 
@@ -124,14 +135,15 @@ class RunResult(BaseModel):
         status: How it ended. An interrupted training keeps everything learned; `resume(run)` continues it.
         steps: Number of steps, summed over all rows of the environment, without `evaluation_steps`.
         mean_return: Mean return of the recent episodes, like `success_rate`; None if no episode has ended.
-        best: The best model; None if there were too few episodes for an evaluation. `best_return` is read from records of versions
-            before 0.2.
+        best: The best model; None if there were too few episodes for an evaluation. `best_return` is read
+            from records of versions before 0.2.
         evaluation_steps: Steps of all held-out episodes during the training.
         confirmations: How often a confirmation of a solved task began.
-        confirmed_seed: The root seed of the starts that confirmed the task and ended the training; None if none did.
+        confirmed_seed: The root seed of the starts that confirmed the task and ended the training; None if
+            none did.
         stage: The stage of the curriculum in which the training ended; `stages` are the stages before it.
-        stopped_by: Name of the callback that stopped the training; `tune` where a study ended a trial, `patience` where no evaluation
-            was better for long enough.
+        stopped_by: Name of the callback that stopped the training; `tune` where a study ended a trial,
+            `patience` where no evaluation was better for long enough.
         inexact: Reasons why a resumed training differs from one without interruption.
     """
 
@@ -202,11 +214,12 @@ class TrainingOptions(TypedDict, total=False):
 
 
 class RunRecord(BaseModel):
-    """The content of `run.json`: who trained what, when, from which inputs, with which versions, and how it went.
+    """The content of `run.json`: who trained what, when, from which inputs, with which versions, and how it
+    went.
 
-    Digests are SHA-256 in hexadecimal. `interface` is what each policy and the world have agreed on, by agent and item
-    (`deepbots_cli.program.identity`). `first_stage` is the stage of the curriculum that the training began in, where it was not the first.
-    `learner` are the reasons for a learner that deepbots chose.
+    Digests are SHA-256 in hexadecimal. `interface` is what each policy and the world have agreed on, by agent
+    and item (`deepbots_cli.program.identity`). `first_stage` is the stage of the curriculum that the training
+    began in, where it was not the first. `learner` are the reasons for a learner that deepbots chose.
     """
 
     model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
@@ -243,14 +256,16 @@ class RunRecord(BaseModel):
         """The record of a run.
 
         Raises:
-            RunError: The record is missing, damaged, or was written in a format that this deepbots does not know.
+            RunError: The record is missing, damaged, or was written in a format that this deepbots does not
+                know.
         """
         path = folder / RECORD_NAME
-        found = read_json(path, RecordFormat, _MAX_RECORD_BYTES).format
-        if found != FORMAT:
-            age = "a newer version of deepbots" if found > FORMAT else "an older version of deepbots"
+        version = read_json(path, RecordFormat, _MAX_RECORD_BYTES).format
+        if version != FORMAT:
+            age = "a newer version of deepbots" if version > FORMAT else "an older version of deepbots"
             raise RunError(
-                f"{folder} is a run of format {found}, written by {age}, but this version reads format {FORMAT}; "
+                f"{folder} is a run of format {version}, written by {age}, but this version reads format"
+                f" {FORMAT}; "
                 "use the version that wrote it"
             )
         return read_json(path, cls, _MAX_RECORD_BYTES)
@@ -266,7 +281,8 @@ def read_json(path: Path, model: type[M], limit: int) -> M:
     """A file of at most `limit` bytes as a model.
 
     Raises:
-        RunError: It is missing, no regular file, unreadable, too large, or does not fit the model; in one sentence.
+        RunError: It is missing, no regular file, unreadable, too large, or does not fit the model; in one
+            sentence.
     """
     if not path.is_file():
         raise RunError(f"{path} is missing")
@@ -282,7 +298,13 @@ def read_json(path: Path, model: type[M], limit: int) -> M:
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         place = ".".join(str(part)[:40] for part in first["loc"])
-        reason = f"'{place}': {first['msg']}" if place else "it is not valid JSON" if first["type"] == "json_invalid" else first["msg"]
+        reason = (
+            f"'{place}': {first['msg']}"
+            if place
+            else "it is not valid JSON"
+            if first["type"] == "json_invalid"
+            else first["msg"]
+        )
         raise RunError(f"{path} is damaged: {' '.join(reason.split())[:200]}") from error
 
 
@@ -314,15 +336,16 @@ class Run:
 
     @property
     def evaluation_seed(self) -> int:
-        """The root seed of an evaluation by default: that of the evaluation after the best model was kept, or of the confirmation which
-        ended the training, so that it is repeated; or else that of the training."""
+        """The root seed of an evaluation by default: that of the evaluation after the best model was kept, or
+        of the confirmation which ended the training, so that it is repeated; or else that of the training."""
         result = self.record.result
         if result is not None and result.best is not None and result.best.evaluation_seed is not None:
             return result.best.evaluation_seed
         return self.record.seed if result is None or result.confirmed_seed is None else result.confirmed_seed
 
     def engine_for(self, program: Program) -> str:
-        """The engine to evaluate in: that of `program` if it names another than the run's scenario, else the engine of the training."""
+        """The engine to evaluate in: that of `program` if it names another than the run's scenario, else the
+        engine of the training."""
         own = program.engine is not None and program.engine != self.program.engine
         return program.engine if own and program.engine else self.record.engine
 
@@ -337,31 +360,52 @@ class Run:
         Raises:
             RunError: The run may not be written to, or its disk is full.
         """
-        return write_numbered(self.evaluations, json.dumps({"evaluated": timestamp(), **content}, indent=1, allow_nan=False) + "\n")
+        return write_numbered(
+            self.evaluations,
+            json.dumps({"evaluated": timestamp(), **content}, indent=1, allow_nan=False) + "\n",
+        )
 
     def notes(self) -> list[str]:
         """Notes on the use of this run, one sentence each."""
-        here, there, stages = deepbots_cli.__version__, self.record.deepbots, [stage.name for stage in self.program.curriculum]
-        found = [] if there == here else [f"{self.path} was trained by deepbots {there}, but this is deepbots {here}"]
+        here = deepbots_cli.__version__
+        there = self.record.deepbots
+        stages = [stage.name for stage in self.program.curriculum]
+        texts = (
+            []
+            if there == here
+            else [f"{self.path} was trained by deepbots {there}, but this is deepbots {here}"]
+        )
         if self.digest != self.record.digest:
-            cause = "with this version of deepbots" if found else "because it was changed after the training"
-            found.append(f"the scenario in {self.path} compiles to a different program {cause}; the policy still fits its interface")
+            cause = "with this version of deepbots" if texts else "because it was changed after the training"
+            texts.append(
+                f"the scenario in {self.path} compiles to a different program {cause}; the policy still fits"
+                " its interface"
+            )
         stage = self.record.result.stage if self.record.result else None
         if stage in stages[:-1]:
-            found.append(f"the training ended in stage {stage}, number {stages.index(stage) + 1} of {len(stages)}")
-        return found
+            texts.append(
+                f"the training ended in stage {stage}, number {stages.index(stage) + 1} of {len(stages)}"
+            )
+        return texts
 
     @staticmethod
     def create(path: Path, record: RunRecord, compiled: Compiled) -> Run:
         """Fill a new, empty directory (see `new_directory`). If this fails, the directory is removed."""
         try:
-            for folder in (*(f"models/{name}" for name in compiled.program.agents), "tensorboard", "evaluations", "checkpoints"):
+            for folder in (
+                *(f"models/{name}" for name in compiled.program.agents),
+                "tensorboard",
+                "evaluations",
+                "checkpoints",
+            ):
                 (path / folder).mkdir(parents=True)
             write_copies(path, compiled.resolved, compiled.inputs)
             write_text(path / "environment.py", compiled.code)
             write_record(path, record)
             return Run(path, record, compiled)
-        except BaseException as error:  # also Ctrl-C: half a directory is no run, and would stand in the way of the next one
+        except (
+            BaseException
+        ) as error:  # also Ctrl-C: half a directory is no run, and would stand in the way of the next one
             shutil.rmtree(path, ignore_errors=True)
             if isinstance(error, OSError):
                 raise StorageError(unwritable_message(path, error)) from error
@@ -369,11 +413,12 @@ class Run:
 
     @staticmethod
     def open(path: str | Path | Source) -> Run:
-        """Open a run. Its scenario is compiled again, and only files of the run, shipped files and installed packages are read.
+        """Open a run. Its scenario is compiled again, and only files of the run, shipped files and installed
+        packages are read.
 
         Raises:
-            RunError: The folder is not a run, is damaged or has another format, or its policy does not match its scenario; the message then
-                lists the differences by field.
+            RunError: The folder is not a run, is damaged or has another format, or its policy does not match
+                its scenario; the message then lists the differences by field.
         """
         source = Source.open(path, Permissions(), SourceKind.RUN)
         path = source.path
@@ -382,20 +427,32 @@ class Run:
         if not (path / RESOLVED_NAME).is_file():
             raise RunError(f"{path / RESOLVED_NAME} is missing")
         try:
-            # The functions of Python that it names are not called before a world is built, which asks again whether they may.
+            # The functions of Python that it names are not called before a world is built, which asks again
+            # whether they may.
             compiled = api.compile(source)
         except DeepbotsError as error:
-            raise RunError(f"{path} cannot be used, since its scenario does not compile: {' '.join(str(error).split())[:500]}") from error
-        differences = identity.compare_interfaces(record.interface, identity.interface(compiled.program), words=("trained", "now"))
+            raise RunError(
+                f"{path} cannot be used, since its scenario does not compile:"
+                f" {' '.join(str(error).split())[:500]}"
+            ) from error
+        differences = identity.compare_interfaces(
+            record.interface, identity.interface(compiled.program), words=("trained", "now")
+        )
         if differences:
             lines = "\n  ".join(differences)
-            raise RunError(f"{path} was trained with other observations, actions or messages than its scenario defines now:\n  {lines}")
+            raise RunError(
+                f"{path} was trained with other observations, actions or messages than its scenario defines"
+                f" now:\n  {lines}"
+            )
         return Run(path, record, compiled)
 
 
 def has_model(run: Path, name: str) -> bool:
     """Whether a run has a model of this name, which a file may name."""
-    return re.fullmatch(r"[a-z]+(-[0-9]+)?", name) is not None and (run / MODELS_FOLDER / ONLY_AGENT / f"{name}.zip").is_file()
+    return (
+        re.fullmatch(r"[a-z]+(-[0-9]+)?", name) is not None
+        and (run / MODELS_FOLDER / ONLY_AGENT / f"{name}.zip").is_file()
+    )
 
 
 @dataclass(frozen=True)
@@ -439,7 +496,9 @@ class ModelRef:
             run = Run.open(Source.kept(opened.path, opened.permissions))
             ref = cls(run, model if opened.model is None else opened.model, opened.model is not None)
         if ref.is_named and model != "best":
-            raise UsageError(f"--{model} chooses a model of a run, but {shown} is already a model; leave it out")
+            raise UsageError(
+                f"--{model} chooses a model of a run, but {shown} is already a model; leave it out"
+            )
         return ref
 
     @property
@@ -458,17 +517,22 @@ class Evaluation(Scores, frozen=True):
 
     Attributes:
         agent: Name of the agent whose return is reported.
-        model: The name of the model, such as `best` or `last`, or that of a baseline: `random`, `zero`, `script NAME`.
+        model: The name of the model, such as `best` or `last`, or that of a baseline: `random`, `zero`,
+            `script NAME`.
         model_steps: The steps of the training after which the model was saved; None for a baseline.
-        confirmation: The number of the confirmation that ended the training, if these are its episodes. The intervals then cover all
-            confirmations of the training together.
+        confirmation: The number of the confirmation that ended the training, if these are its episodes. The
+            intervals then cover all confirmations of the training together.
         case: Name of the case; None for the scenario itself. The same holds for `stage`.
         success_defined: Whether the scenario defines success; if not, the success rate has no meaning.
-        solved: None if the scenario has no `solved`, or if its criterion needs more episodes (`required_episodes`) than were run.
-        elsewhere: Name of the scenario if it is not that of the training; `set` are the assignments of `--set`, `digest` is its digest.
+        solved: None if the scenario has no `solved`, or if its criterion needs more episodes
+            (`required_episodes`) than were run.
+        elsewhere: Name of the scenario if it is not that of the training; `set` are the assignments of
+            `--set`, `digest` is its digest.
         engine: None if `build` made the worlds.
-        circumstances: Differences from an evaluation of the best model in the scenario of the training, in words.
-        planned: Requested number of episodes; larger than `episodes` if a requirement stopped the evaluation early.
+        circumstances: Differences from an evaluation of the best model in the scenario of the training, in
+            words.
+        planned: Requested number of episodes; larger than `episodes` if a requirement stopped the evaluation
+            early.
     """
 
     agent: str = ONLY_AGENT
@@ -520,19 +584,25 @@ class EvaluationRecord(Evaluation, frozen=True):
             equal = "; all returns are equal" * (self.std_return == 0)
             text += f" (95 % interval {{:.4g}} .. {{:.4g}}{equal})".format(*self.return_interval)
         if self.success_rate is not None and self.success_interval is not None:
-            text += f", success rate {self.success_rate:.1%} (95 % interval {{:.1%}} .. {{:.1%}})".format(*self.success_interval)
+            text += f", success rate {self.success_rate:.1%} (95 % interval {{:.1%}} .. {{:.1%}})".format(
+                *self.success_interval
+            )
         of = "" if self.model_steps is None else f" of the model after {self.model_steps:,} steps"
-        return f"{text}, over {self.episodes:,} held-out episodes{of}, from seed {self.seed}{in_parentheses(self.remarks)}"
+        return (
+            f"{text}, over {self.episodes:,} held-out episodes{of}, from seed"
+            f" {self.seed}{in_parentheses(self.remarks)}"
+        )
 
 
 def in_parentheses(remarks: Iterable[str]) -> str:
     """` (a; b)`, each remark once; empty without one."""
-    found = "; ".join(dict.fromkeys(remarks))
-    return f" ({found})" if found else ""
+    joined = "; ".join(dict.fromkeys(remarks))
+    return f" ({joined})" if joined else ""
 
 
 def remark_on_episodes(episodes: int, planned: int | None, required: int | None) -> tuple[str, ...]:
-    """What to say of the number of episodes of an evaluation; `required` is the number that `solved` asks for."""
+    """What to say of the number of episodes of an evaluation; `required` is the number that `solved` asks
+    for."""
     if planned is not None and episodes < planned:
         return (f"stopped by a requirement after {episodes} of {planned} episodes",)
     return (f"fewer than {required} episodes",) if required is not None and episodes < required else ()
@@ -551,13 +621,20 @@ class EvaluationWithEpisodes(EvaluationRecord):
         """Figures sort episodes by each drawn value."""
         kinds: dict[str, type] = {}
         for episode in outcomes:
-            if any(kinds.setdefault(name, type(value)) is not type(value) for name, value in episode.drawn.items()):
+            if any(
+                kinds.setdefault(name, type(value)) is not type(value)
+                for name, value in episode.drawn.items()
+            ):
                 raise ValueError("a drawn value is a number in one episode and a name in another")
         return outcomes
 
     def failed(self, program: Program) -> list[int]:
-        """The numbers of the episodes that failed: without a success, or where none is defined, ended by a failure."""
-        bad = [not each.is_success if self.success_defined else each.ended_by in program.failures for each in self.outcomes]
+        """The numbers of the episodes that failed: without a success, or where none is defined, ended by a
+        failure."""
+        bad = [
+            not each.is_success if self.success_defined else each.ended_by in program.failures
+            for each in self.outcomes
+        ]
         return [number for number, is_bad in enumerate(bad) if is_bad]
 
     @property
@@ -575,12 +652,17 @@ def changed_settings(command: Sequence[str]) -> tuple[str, ...]:
 
 def short_settings(settings: Sequence[str]) -> str:
     """`learning_rate=0.003, hidden=32` for assignments, without the paths to their keys."""
-    return ", ".join("=".join((path.rpartition(".")[2], value)) for path, _, value in (text.partition("=") for text in settings))
+    return ", ".join(
+        "=".join((path.rpartition(".")[2], value))
+        for path, _, value in (text.partition("=") for text in settings)
+    )
 
 
 def numbered_files(folder: Path) -> list[tuple[int, Path]]:
     """The files `0001.json`, `0002.json` ... of a folder, by number."""
-    return sorted((int(path.stem), path) for path in folder.glob("*.json") if re.fullmatch("[0-9]{4,9}", path.stem))
+    return sorted(
+        (int(path.stem), path) for path in folder.glob("*.json") if re.fullmatch("[0-9]{4,9}", path.stem)
+    )
 
 
 def write_numbered(folder: Path, text: str) -> Path:
@@ -611,7 +693,8 @@ def write_numbered(folder: Path, text: str) -> Path:
 
 
 def _check_plain(run: Path) -> None:
-    """Refuse links and pipes: a run may come from someone else, resuming writes, and opening a pipe waits for ever."""
+    """Refuse links and pipes: a run may come from someone else, resuming writes, and opening a pipe waits for
+    ever."""
     members = [run / name for name in (*_FILES, *_FOLDERS)]
     for folder in _FOLDERS:
         members += (run / folder).rglob("*") if not (run / folder).is_symlink() else ()
@@ -623,11 +706,14 @@ def _check_plain(run: Path) -> None:
 
 
 def remove_incomplete(folder: Path) -> None:
-    """Remove what a killed process has left of a new run directory: folders and files of a run, but no record."""
-    known = {*_FOLDERS, *_FILES, "environment.py"}
+    """Remove what a killed process has left of a new run directory: folders and files of a run, but no
+    record."""
+    removable = {*_FOLDERS, *_FILES, "environment.py"}
     if folder.is_dir() and not folder.is_symlink():
         names = {path.name for path in folder.iterdir()}
-        if RECORD_NAME not in names and all(name in known or name.startswith(".deepbots-") for name in names):
+        if RECORD_NAME not in names and all(
+            name in removable or name.startswith(".deepbots-") for name in names
+        ):
             shutil.rmtree(folder)
 
 
@@ -637,7 +723,8 @@ def write_record(folder: Path, record: RunRecord) -> None:
 
 @contextmanager
 def run_lock(folder: Path, name: str = ".lock", wait_s: float = 0.0) -> Iterator[None]:
-    """Within, nobody else trains in the run directory `folder`. The lock ends with the process, however that ends.
+    """Within, nobody else trains in the run directory `folder`. The lock ends with the process, however that
+    ends.
 
     `name` is that of another lock in the folder, `wait_s` how long to wait for it.
 
@@ -652,7 +739,10 @@ def run_lock(folder: Path, name: str = ".lock", wait_s: float = 0.0) -> Iterator
     try:
         lock = FileLock(path, timeout=wait_s).acquire()
     except Timeout:
-        raise UsageError(f"another process writes to {folder}, a training or `eval --keep`; wait until it finishes, or stop it") from None
+        raise UsageError(
+            f"another process writes to {folder}, a training or `eval --keep`; wait until it finishes, or"
+            " stop it"
+        ) from None
     except OSError as error:
         raise UsageError(unwritable_message(folder, error)) from error
     with lock:
@@ -676,7 +766,8 @@ def is_training(folder: Path) -> bool:
 
 
 def has_ended(folder: Path) -> bool:
-    """Whether no training is at work in the directory any more; waits a while for one whose worker was lost."""
+    """Whether no training is at work in the directory any more; waits a while for one whose worker was
+    lost."""
     deadline = time.monotonic() + _END_TIMEOUT_S
     while is_training(folder):
         if time.monotonic() > deadline:
@@ -686,7 +777,8 @@ def has_ended(folder: Path) -> bool:
 
 
 def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, seed: int | str) -> Path:
-    """Make the directory of a new run: `wanted`, or else the next free `parent/<scenario>-<seed>-<n>`; `seeds` for a group.
+    """Make the directory of a new run: `wanted`, or else the next free `parent/<scenario>-<seed>-<n>`;
+    `seeds` for a group.
 
     Raises:
         UsageError: `wanted` exists, or the directory cannot be made.
@@ -707,7 +799,9 @@ def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, 
             except FileExistsError:
                 number += 1  # another process was faster
     except FileExistsError as error:
-        raise UsageError(f"{error.filename} already exists; choose another directory, because runs are not overwritten") from error
+        raise UsageError(
+            f"{error.filename} already exists; choose another directory, because runs are not overwritten"
+        ) from error
     except OSError as error:
         raise UsageError(unwritable_message(wanted or parent, error)) from error
 
@@ -719,12 +813,12 @@ def _number(name: str, stem: str) -> int:
 
 def run_folders(runs: Sequence[str | Path]) -> list[Path]:
     """The run directories, those of folders in the order of their names; each once."""
-    found: dict[Path, None] = {}
+    folders: dict[Path, None] = {}
     for path in map(Path, runs):
         is_outer = os.path.isdir(path) and folder_kind(path) is not SourceKind.RUN
         inner = sorted(file.parent for file in path.glob(f"*/{RECORD_NAME}")) if is_outer else []
-        found |= dict.fromkeys(inner or [path])
-    return list(found)
+        folders |= dict.fromkeys(inner or [path])
+    return list(folders)
 
 
 def timestamp() -> str:
@@ -734,10 +828,10 @@ def timestamp() -> str:
 
 def versions(*further: str) -> dict[str, str]:
     """Of Python, of what a training result depends on, and of further packages."""
-    found = {"python": platform.python_version()}
+    installed = {"python": platform.python_version()}
     for name in (*_VERSIONED_PACKAGES, *further):
         try:
-            found[name] = version(name)
+            installed[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+            installed[name] = "not installed"
+    return installed

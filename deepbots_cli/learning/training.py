@@ -21,7 +21,14 @@ import deepbots_cli
 from deepbots_cli import api, engine_kinds
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError, MissingExtraError, PluginError, RunError, StorageError, UsageError
+from deepbots_cli.errors import (
+    DeepbotsError,
+    MissingExtraError,
+    PluginError,
+    RunError,
+    StorageError,
+    UsageError,
+)
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning import learner as learners
 from deepbots_cli.learning import shards
@@ -125,43 +132,59 @@ def train(
 ) -> TrainingResult:
     """Train the policy of a scenario in a new run directory.
 
-    The first Ctrl-C or SIGTERM stops the training after the current rollout: `interrupted` of the result is then true, unless the training
-    was complete. A second one stops it at once.
+    The first Ctrl-C or SIGTERM stops the training after the current rollout: `interrupted` of the result is
+    then true, unless the training was complete. A second one stops it at once.
 
     Args:
-        scenario: The result of `deepbots_cli.compile`, a `Scenario`, the path of a file, or the name of a shipped scenario.
+        scenario: The result of `deepbots_cli.compile`, a `Scenario`, the path of a file, or the name of a
+            shipped scenario.
         run: The directory to create; it must not exist. By default `runs/<scenario>-<seed>-<n>`.
         runs: The folder in which the default directory is created.
-        seed: The root seed of all random streams, from 0. The same seed on the same machine gives the same weights.
-        total_timesteps: Number of steps, summed over all rows of the environment; by default that of the scenario. On-policy algorithms
-            complete their current rollout, so they may take a few more steps.
-        stop_when_solved: Whether to stop when an evaluation meets the criterion `solved` of the scenario and a confirmation on new
-            starts shows it (`learning.confirmation`).
+        seed: The root seed of all random streams, from 0. The same seed on the same machine gives the same
+            weights.
+        total_timesteps: Number of steps, summed over all rows of the environment; by default that of the
+            scenario. On-policy algorithms complete their current rollout, so they may take a few more steps.
+        stop_when_solved: Whether to stop when an evaluation meets the criterion `solved` of the scenario and
+            a confirmation on new starts shows it (`learning.confirmation`).
         stage: Name of the stage of the curriculum in which to begin; by default the first.
-        keep_checkpoints: Number of models to keep at equal distances of steps, in addition to the best and the last one.
-        initialize_from: A run whose best model initializes this policy, tensor by tensor if names and shapes are the same; or a model
-            of a run.
-        demonstrations: A recording (.mcap) whose episodes teach the policy, in the place of the teacher of the scenario.
+        keep_checkpoints: Number of models to keep at equal distances of steps, in addition to the best and
+            the last one.
+        initialize_from: A run whose best model initializes this policy, tensor by tensor if names and shapes
+            are the same; or a model of a run.
+        demonstrations: A recording (.mcap) whose episodes teach the policy, in the place of the teacher of
+            the scenario.
         callbacks: Names of callbacks that installed packages register.
-        loggers: Names of loggers in addition to TensorBoard: `csv`, and loggers that installed packages register.
+        loggers: Names of loggers in addition to TensorBoard: `csv`, and loggers that installed packages
+            register.
         progress: Whether to report progress on standard error, or your own `Reporter`.
         command: The command line, for the record.
-        engine: The physics engine. By default the engine of the scenario; if it names none, `pybullet`, or the first installed engine.
+        engine: The physics engine. By default the engine of the scenario; if it names none, `pybullet`, or
+            the first installed engine.
         build: Function that makes a world of the scenario, in place of the generated supervisor.
         executor: Where the shards of the training run; the result does not depend on it.
         on_start: Called with the run directory once it exists.
-        on_evaluation: Called with the run directory after each evaluation during the training. It returns None to go on, or the name of who
-            stops the training, which becomes `stopped_by` of the result.
+        on_evaluation: Called with the run directory after each evaluation during the training. It returns
+            None to go on, or the name of who stops the training, which becomes `stopped_by` of the result.
         on_iteration: Called after each fragment and its update with their times. It returns the same.
 
     Raises:
-        UsageError: The directory exists, a stage, callback or logger does not exist, or the settings are invalid for training.
+        UsageError: The directory exists, a stage, callback or logger does not exist, or the settings are
+            invalid for training.
         RunError: The training diverged; the last good model is kept.
         DeepbotsError: The world, a callback or a logger failed; the message gives step and cause.
     """
     compiled = api.with_learner(api.compile(scenario))
-    options: TrainingOptions = {"total_timesteps": total_timesteps, "stage": stage, "keep_checkpoints": keep_checkpoints}
-    options |= {"initialize_from": initialize_from, "demonstrations": demonstrations, "callbacks": callbacks, "loggers": loggers}
+    options: TrainingOptions = {
+        "total_timesteps": total_timesteps,
+        "stage": stage,
+        "keep_checkpoints": keep_checkpoints,
+    }
+    options |= {
+        "initialize_from": initialize_from,
+        "demonstrations": demonstrations,
+        "callbacks": callbacks,
+        "loggers": loggers,
+    }
     training, source = checked_settings(compiled.program, [seed], **options)
     engine = engine_kinds.chosen(engine or compiled.program.engine)
     build = build or supervisor_factory(engine, permissions=compiled.permissions)
@@ -209,18 +232,30 @@ def train(
         on_start(path)
         checkpoints = Checkpoints(new, learners.class_of(training).State)
         return run_training(
-            new, training, checkpoints, build, reporter(progress), executor, on_evaluation=on_evaluation, on_iteration=on_iteration
+            new,
+            training,
+            checkpoints,
+            build,
+            reporter(progress),
+            executor,
+            on_evaluation=on_evaluation,
+            on_iteration=on_iteration,
         )
 
 
-def checked_settings(program: Program, seeds: Sequence[int], **options: Unpack[TrainingOptions]) -> tuple[Training, ModelRef | None]:
-    """The training with the options of `train`, and the model that initializes it; these checks need no world.
+def checked_settings(
+    program: Program, seeds: Sequence[int], **options: Unpack[TrainingOptions]
+) -> tuple[Training, ModelRef | None]:
+    """The training with the options of `train`, and the model that initializes it; these checks need no
+    world.
 
     Raises:
         UsageError: An option does not fit the scenario, or names something that does not exist.
         RunError: `initialize_from` is neither a run nor a model of a run.
     """
-    callbacks, loggers, keep_checkpoints = options.get("callbacks", ()), options.get("loggers", ()), options.get("keep_checkpoints", 0)
+    callbacks = options.get("callbacks", ())
+    loggers = options.get("loggers", ())
+    keep_checkpoints = options.get("keep_checkpoints", 0)
     training = _training_of(program, options.get("total_timesteps"), callbacks)
     for seed in seeds:
         if not 0 <= seed < 2**63:
@@ -251,14 +286,16 @@ def resume(
 ) -> TrainingResult:
     """Continue a run from its last checkpoint, in the same directory.
 
-    On the same machine, with the same versions and the same total, weights and logs are bit for bit those of a training without
-    interruption; only times differ. Otherwise `inexact` of the result lists the reasons.
+    On the same machine, with the same versions and the same total, weights and logs are bit for bit those of
+    a training without interruption; only times differ. Otherwise `inexact` of the result lists the reasons.
 
     Args:
         run: The directory of the run.
         total_timesteps: The new total, counted from the start of the run; by default as in the run.
-        stop_when_solved: By default as in the run. A run that stopped because it was solved continues without this criterion.
-        callbacks: Callbacks from now on; by default those of the run, () for none. A change may change the weights.
+        stop_when_solved: By default as in the run. A run that stopped because it was solved continues without
+            this criterion.
+        callbacks: Callbacks from now on; by default those of the run, () for none. A change may change the
+            weights.
         loggers: Loggers from now on, likewise.
         permissions: With `code`, terms in Python run.
 
@@ -272,8 +309,8 @@ def resume(
     RunRecord.read(path)  # a folder that is no run is told so, whoever is at work in it
     with run_lock(path):
         # Only now: a training that has just ended in there has changed the record.
-        known = Run.open(path)
-        record = known.record
+        resumed = Run.open(path)
+        record = resumed.record
         callbacks = record.callbacks if callbacks is None else tuple(callbacks)
         loggers = record.loggers if loggers is None else tuple(loggers)
         try:
@@ -281,34 +318,54 @@ def resume(
         except UsageError as error:
             error.add_note("to continue without callbacks or loggers: --callback none, --logger none")
             raise
-        training = _training_of(known.program, record.total_timesteps if total_timesteps is None else total_timesteps, callbacks)
-        last = known.model("last")
-        if latest_checkpoint(known) is None and (record.status == "finished" or (last.exists() and learners.steps_of(last) > 0)):
-            raise RunError(f"{known.checkpoints} contains no checkpoint to continue from")
-        checkpoints = Checkpoints(known, learners.class_of(training).State)
+        training = _training_of(
+            resumed.program, record.total_timesteps if total_timesteps is None else total_timesteps, callbacks
+        )
+        last = resumed.model("last")
+        if latest_checkpoint(resumed) is None and (
+            record.status == "finished" or (last.exists() and learners.steps_of(last) > 0)
+        ):
+            raise RunError(f"{resumed.checkpoints} contains no checkpoint to continue from")
+        checkpoints = Checkpoints(resumed, learners.class_of(training).State)
         steps = checkpoints.state.statistics.steps if checkpoints.state else 0
         if set(callbacks) != set(record.callbacks):
             before, since = (", ".join(names) or "none" for names in (record.callbacks, callbacks))
             checkpoints.note(f"the callbacks changed at {steps:,} steps from {before} to {since}")
-        if steps >= training.total_timesteps and record.status == "finished":  # else it was killed before it said so
+        if (
+            steps >= training.total_timesteps and record.status == "finished"
+        ):  # else it was killed before it said so
             raise UsageError(
-                f"the training of {known.path} is complete ({steps:,} of {training.total_timesteps:,} timesteps);"
+                f"the training of {resumed.path} is complete ({steps:,} of {training.total_timesteps:,}"
+                " timesteps);"
                 f" to continue it, set a total of more than {steps:,} timesteps with `--timesteps N`"
             )
         stopped_as_solved = (
-            record.status == "finished" and record.stop_when_solved and record.result is not None and record.result.solved_at is not None
+            record.status == "finished"
+            and record.stop_when_solved
+            and record.result is not None
+            and record.result.solved_at is not None
         )
         changes: dict[str, Any] = {
             "status": "running",
             "resumed_at": (*record.resumed_at, steps),
             "total_timesteps": training.total_timesteps,
-            "stop_when_solved": (record.stop_when_solved if stop_when_solved is None else stop_when_solved) and not stopped_as_solved,
+            "stop_when_solved": (record.stop_when_solved if stop_when_solved is None else stop_when_solved)
+            and not stopped_as_solved,
             "callbacks": tuple(callbacks),
             "loggers": tuple(loggers),
         }
-        known.record = record.model_copy(update=changes)  # written once the checkpoint is restored
+        resumed.record = record.model_copy(update=changes)  # written once the checkpoint is restored
         build = build or supervisor_factory(record.engine, permissions=permissions)
-        return run_training(known, training, checkpoints, build, reporter(progress), executor, before=record, on_evaluation=on_evaluation)
+        return run_training(
+            resumed,
+            training,
+            checkpoints,
+            build,
+            reporter(progress),
+            executor,
+            before=record,
+            on_evaluation=on_evaluation,
+        )
 
 
 def _training_of(program: Program, total_timesteps: int | None, callbacks: Sequence[str] = ()) -> Training:
@@ -316,7 +373,11 @@ def _training_of(program: Program, total_timesteps: int | None, callbacks: Seque
         raise MissingExtraError("train", "training")
     if program.agent.training is None:
         raise UsageError(f"{program.name} has no `train` section; add `train: {{algorithm: auto}}`")
-    training = program.agent.training if total_timesteps is None else replace(program.agent.training, total_timesteps=total_timesteps)
+    training = (
+        program.agent.training
+        if total_timesteps is None
+        else replace(program.agent.training, total_timesteps=total_timesteps)
+    )
     if training.total_timesteps < 1:
         raise UsageError(f"total_timesteps must be at least 1, not {training.total_timesteps}")
     if training.total_timesteps > MAX_STEPS:
@@ -324,13 +385,19 @@ def _training_of(program: Program, total_timesteps: int | None, callbacks: Seque
     kind = learners.class_of(training)
     kind.check(training)
     if callbacks and not kind.takes_callbacks:
-        raise UsageError(f"callbacks work only with the built-in algorithms; leave out --callback to train with {training.algorithm}")
+        raise UsageError(
+            "callbacks work only with the built-in algorithms; leave out --callback to train with"
+            f" {training.algorithm}"
+        )
     algorithms.check_memory(training.environments)
     return training
 
 
-def _validate_setup(program: Program, training: Training, build: WorldFactory, source: ModelRef | None) -> str | None:
-    """Fail before there is a run directory, if a world cannot be built, the algorithm refuses its settings, or no initial tensor fits.
+def _validate_setup(
+    program: Program, training: Training, build: WorldFactory, source: ModelRef | None
+) -> str | None:
+    """Fail before there is a run directory, if a world cannot be built, the algorithm refuses its settings,
+    or no initial tensor fits.
 
     Returns what is taken over from `source`, in words.
     """
@@ -343,19 +410,24 @@ def _validate_setup(program: Program, training: Training, build: WorldFactory, s
             learner.actor()
         if source is None:
             return None
-        found = learner.initialize(source.path)
+        initialized = learner.initialize(source.path)
         shown = source.path if source.is_named else source.run.path
-        new = ", ".join(f"{name} ({reason})" for name, reason in found.not_copied.items())
+        new = ", ".join(f"{name} ({reason})" for name, reason in initialized.not_copied.items())
         changed = "; ".join(identity.differences(source.run.program, program))
         return (
-            f"{shown}: {len(found.copied)} of {len(found.copied) + len(found.not_copied)} tensors"
+            f"{shown}: {len(initialized.copied)} of {len(initialized.copied) + len(initialized.not_copied)}"
+            " tensors"
             f"{f', new: {new}' if new else ''}{f'; the interface differs: {changed}' if changed else ''}"
         )
 
 
-def _create(training: Training, program: Program, collector: Collector, seed: int, shown: Demonstrations | None = None) -> Learner:
+def _create(
+    training: Training, program: Program, collector: Collector, seed: int, shown: Demonstrations | None = None
+) -> Learner:
     spaces, longest = (collector.observation_space, collector.action_space), longest_episode(program)
-    return learners.create(Setup(training, *spaces, seed, training.total_timesteps, longest, collector, demonstrations=shown))
+    return learners.create(
+        Setup(training, *spaces, seed, training.total_timesteps, longest, collector, demonstrations=shown)
+    )
 
 
 def run_training(
@@ -382,13 +454,17 @@ def run_training(
         with damage_explained(run, latest_checkpoint(run)):
             curriculum.restore(checkpoints.state.curriculum)
             if len(checkpoints.stages) != training.environments or max(checkpoints.stages) > curriculum.index:
-                raise ValueError(f"{len(checkpoints.stages)} worlds, in stage {max(checkpoints.stages, default=0)}")
+                raise ValueError(
+                    f"{len(checkpoints.stages)} worlds, in stage {max(checkpoints.stages, default=0)}"
+                )
             statistics.restore(checkpoints.state.statistics)
     first_step = statistics.steps
     if before is not None:
         checkpoints.on_restored.append(run.update)
     evaluator = Evaluator(build, run.record.seed, run)
-    callback = TrainingCallback(run, statistics, curriculum, evaluator, reporter, training.total_timesteps, on_evaluation)
+    callback = TrainingCallback(
+        run, statistics, curriculum, evaluator, reporter, training.total_timesteps, on_evaluation
+    )
     shown = demonstrate(run.demonstrations, run.program, build) if run.demonstrations.exists() else None
     callback.teaching = _teaching(training, shown)
     if checkpoints.state is not None:
@@ -415,10 +491,13 @@ def run_training(
             if run.record.initialized_from is not None:
                 learner.initialize(run.model("initial"))
             stack.enter_context(signals_handled(callback.interruption))
-            # TensorBoard's writer raises the error of a thread that cannot write a file again, at its next call: no traceback meanwhile.
+            # TensorBoard's writer raises the error of a thread that cannot write a file again, at its next
+            # call: no traceback meanwhile.
             report_failure = threading.excepthook
             stack.callback(setattr, threading, "excepthook", report_failure)
-            threading.excepthook = lambda failed: None if isinstance(failed.exc_value, OSError) else report_failure(failed)
+            threading.excepthook = lambda failed: (
+                None if isinstance(failed.exc_value, OSError) else report_failure(failed)
+            )
             stack.callback(log.close)
             if words := stepping_text(run.program, training.environments, run.record.engine, build):
                 reporter.note(words)
@@ -434,7 +513,8 @@ def run_training(
             finally:
                 digest = learner.digest()
     except KeyboardInterrupt:
-        # Before the first step, or while models were written: files are whole, so there is something to go on from.
+        # Before the first step, or while models were written: files are whole, so there is something to go on
+        # from.
         status = "interrupted"
     except (DeepbotsError, OSError) as error:
         raise _explained(error, run, checkpoints) from error
@@ -461,7 +541,8 @@ def run_training(
             weights_digest=digest,
             stage=curriculum.name,
             stages=tuple(curriculum.completed),
-            stopped_by=callback.stopped_by or next((follower.name for follower in followers if follower.stopped), None),
+            stopped_by=callback.stopped_by
+            or next((follower.name for follower in followers if follower.stopped), None),
             inexact=tuple(checkpoints.inexact),
         )
         with suppress(RunError) if status == "failed" else nullcontext():  # a full disk was reported already
@@ -503,12 +584,16 @@ def _best_model(callback: TrainingCallback) -> BestModel | None:
 def _load(training: Training, learner: Learner, model: Path) -> Learner:
     """A policy with the weights of a model, beside the learner of the training."""
     setup = learner.setup
-    loaded = learners.create(Setup(replace(training, device="cpu"), setup.observation_space, setup.action_space))
+    loaded = learners.create(
+        Setup(replace(training, device="cpu"), setup.observation_space, setup.action_space)
+    )
     loaded.load(model)
     return loaded
 
 
-def _check_teacher(teacher: Teacher, program: Program, stage: str | None, build: WorldFactory, seed: int) -> None:
+def _check_teacher(
+    teacher: Teacher, program: Program, stage: str | None, build: WorldFactory, seed: int
+) -> None:
     """Play episodes of a teacher in the first stage of a training, until one succeeds.
 
     Raises:
@@ -521,29 +606,47 @@ def _check_teacher(teacher: Teacher, program: Program, stage: str | None, build:
         played = play_script(build, first, teacher.script, evaluation_seeds(seed, range(count)))
         if any(episode.is_success for episode in played):
             return
-    found = f"the teacher `{teacher.script}` succeeds in none of {len(played)} episodes"
-    ends = ", ".join(f"{name} {count}" for name, count in Counter(episode.ended_by for episode in played).most_common())
-    found += f" (mean return {Summary.of_episodes(played).mean_return:.3g}, ended by {ends})"
-    raise UsageError(f"{found}; look at what it does: deepbots view SCENARIO --driver {teacher.script}")
+    problem = f"the teacher `{teacher.script}` succeeds in none of {len(played)} episodes"
+    ends = ", ".join(
+        f"{name} {count}" for name, count in Counter(episode.ended_by for episode in played).most_common()
+    )
+    problem += f" (mean return {Summary.of_episodes(played).mean_return:.3g}, ended by {ends})"
+    raise UsageError(f"{problem}; look at what it does: deepbots view SCENARIO --driver {teacher.script}")
 
 
 def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoints) -> DeepbotsError:
     """The error that ended a training, with what is kept of it and how to use that."""
-    known = StorageError(unwritable_message(Path(error.filename or run.path), error)) if isinstance(error, OSError) else error
-    if checkpoints.description and (isinstance(known, PluginError) or isinstance(known.__cause__ or error, OSError)):
-        known.add_note(f"{checkpoints.description}; continue from there with: deepbots resume {quote(str(run.path))}")
+    explained = (
+        StorageError(unwritable_message(Path(error.filename or run.path), error))
+        if isinstance(error, OSError)
+        else error
+    )
+    if checkpoints.description and (
+        isinstance(explained, PluginError) or isinstance(explained.__cause__ or error, OSError)
+    ):
+        explained.add_note(
+            f"{checkpoints.description}; continue from there with: deepbots resume {quote(str(run.path))}"
+        )
     elif checkpoints.has_learned:  # going on would fail again, to the bit
-        known.add_note(f"{checkpoints.description}; evaluate what was learned with: deepbots eval {quote(str(run.path))}")
+        explained.add_note(
+            f"{checkpoints.description}; evaluate what was learned with: deepbots eval {quote(str(run.path))}"
+        )
     elif checkpoints.description:
-        known.add_note("nothing was learned before; run `deepbots lint --deep SCENARIO` to find expressions that have no value")
-    return known
+        explained.add_note(
+            "nothing was learned before; run `deepbots lint --deep SCENARIO` to find expressions that have"
+            " no value"
+        )
+    return explained
 
 
 class TrainingCounter:
     """Counts the steps and episodes of a training, and writes the log of its episodes."""
 
     def __init__(self, callback: TrainingCallback, log: EpisodeLog, reporter: Reporter) -> None:
-        self._callback, self._statistics, self._log, self._reporter = callback, callback.statistics, log, reporter
+        self._callback = callback
+        self._statistics = callback.statistics
+        self._log = log
+        self._reporter = reporter
 
     def present(self) -> tuple[int, int, int]:
         return self._statistics.steps, self._statistics.next_episode, self._callback.curriculum.index
@@ -573,7 +676,9 @@ def _teaching(training: Training, shown: Demonstrations | None) -> Teaching | No
     if teacher is None:
         return None
     imitates = ALGORITHMS[training.algorithm].imitates
-    return Teaching(teacher, training.total_timesteps, training.environments, imitates=imitates, demonstrations=shown)
+    return Teaching(
+        teacher, training.total_timesteps, training.environments, imitates=imitates, demonstrations=shown
+    )
 
 
 def make_collector(
@@ -608,14 +713,18 @@ def make_collector(
     return LocalCollector(worlds)
 
 
-def _timed(on_iteration: OnIteration, callback: TrainingCallback, collector: Collector) -> Callable[[float, float], None]:
+def _timed(
+    on_iteration: OnIteration, callback: TrainingCallback, collector: Collector
+) -> Callable[[float, float], None]:
     """A function that takes the times of a fragment and its update."""
     evaluations = 0.0
 
     def watch(collect: float, update: float) -> None:
         nonlocal evaluations
         before, evaluations = evaluations, callback.evaluation_seconds
-        iteration = Iteration(callback.statistics.steps, collect, update, evaluations - before, replace(collector.times))
+        iteration = Iteration(
+            callback.statistics.steps, collect, update, evaluations - before, replace(collector.times)
+        )
         callback.stopped_by = on_iteration(iteration) or callback.stopped_by
 
     return watch
@@ -633,11 +742,15 @@ def learn_until_done(
     try:
         learner.begin(callback.total, callback, followers)
         checkpoints.restore()
-        if statistics.steps >= callback.total:  # it ended before its last evaluation, or before its record said so
+        if (
+            statistics.steps >= callback.total
+        ):  # it ended before its last evaluation, or before its record said so
             callback.evaluate(UNLIMITED_SHARE)
             return "finished"
         learner.start()
-        while statistics.steps < callback.total and callback.stopped_by is None and checkpoints.before_rollout():
+        while (
+            statistics.steps < callback.total and callback.stopped_by is None and checkpoints.before_rollout()
+        ):
             if callback.teaching is not None:
                 learner.be_taught(callback.plan_lesson())
             began = time.perf_counter()
@@ -662,7 +775,8 @@ def learn_until_done(
         else:  # in the middle of a rollout, since the task is solved or a callback says so
             learner.save(run.model("last"))
     except (ValueError, UsageError):
-        # torch's distributions refuse parameters that are not finite, and a world an action, before we look at the weights.
+        # torch's distributions refuse parameters that are not finite, and a world an action, before we look
+        # at the weights.
         check_finite(learner, run)
         raise
     return "finished"

@@ -1,8 +1,9 @@
 """Episodes of a policy, in several worlds at a time with results that do not depend on how many.
 
-The rounding of a matrix product depends on the number of rows and on the index of a row, and a rounding error can change an action.
-Therefore every forward pass has `FORWARD_BATCH_SIZE` rows, and episode k always uses row k mod `FORWARD_BATCH_SIZE`. The content of other
-rows does not affect it. `evaluate_policy` of learning libraries provides neither this nor the same starts for every policy.
+The rounding of a matrix product depends on the number of rows and on the index of a row, and a rounding error
+can change an action. Therefore every forward pass has `FORWARD_BATCH_SIZE` rows, and episode k always uses
+row k mod `FORWARD_BATCH_SIZE`. The content of other rows does not affect it. `evaluate_policy` of learning
+libraries provides neither this nor the same starts for every policy.
 """
 
 from __future__ import annotations
@@ -16,13 +17,23 @@ import numpy as np
 import torch
 
 from deepbots_cli.errors import EngineError
-from deepbots_cli.rollout.episode import Driver, Episode, EpisodeAccumulator, OnEpisode, Start, Step, play, steps
+from deepbots_cli.rollout.episode import (
+    Driver,
+    Episode,
+    EpisodeAccumulator,
+    OnEpisode,
+    Start,
+    Step,
+    play,
+    steps,
+)
 from deepbots_cli.rollout.worlds import Array, BatchEpisodes, has_copies
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
 
 FORWARD_BATCH_SIZE = 8
-"""A forward pass of a small policy takes about 0.1 ms for any number of rows up to 16; more worlds than 8 gain little."""
+"""A forward pass of a small policy takes about 0.1 ms for any number of rows up to 16; more worlds than 8
+gain little."""
 
 NumberedEpisode = tuple[int, Episode]
 """A finished episode of an evaluation, with its number from 0."""
@@ -36,7 +47,12 @@ class Predictor(Protocol):
     takes_masks: bool
 
     def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False, action_masks: Any = None
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+        action_masks: Any = None,
     ) -> tuple[Any, Any]: ...
 
 
@@ -50,8 +66,9 @@ def play_episodes(
 ) -> Iterator[NumberedEpisode]:
     """The episodes with these `numbers`, each from its seed, in the order in which they end.
 
-    Runs up to `FORWARD_BATCH_SIZE` worlds at a time; a policy that samples, or a world with several agents, uses only one. An episode
-    depends on its seed and its number only, so it is the same for any number of worlds, and for any division of the numbers.
+    Runs up to `FORWARD_BATCH_SIZE` worlds at a time; a policy that samples, or a world with several agents,
+    uses only one. An episode depends on its seed and its number only, so it is the same for any number of
+    worlds, and for any division of the numbers.
     """
     if has_copies(worlds[0]):
         driver = PolicyDriver(policy, worlds[0], deterministic=deterministic)
@@ -59,10 +76,16 @@ def play_episodes(
         return
     together = min(len(worlds), FORWARD_BATCH_SIZE) if deterministic else 1
     forward = ForwardPass(worlds[0].observation_space, _choices(worlds[0]) if policy.takes_masks else None)
-    by_row = [[number for number in numbers if number % FORWARD_BATCH_SIZE == row] for row in range(FORWARD_BATCH_SIZE)]
+    by_row = [
+        [number for number in numbers if number % FORWARD_BATCH_SIZE == row]
+        for row in range(FORWARD_BATCH_SIZE)
+    ]
     rows = [row for row, own in enumerate(by_row) if own]
     for first in range(0, len(rows), together):
-        lanes = [EvaluationLane(world, row, by_row[row], seeds) for world, row in zip(worlds, rows[first : first + together], strict=False)]
+        lanes = [
+            EvaluationLane(world, row, by_row[row], seeds)
+            for world, row in zip(worlds, rows[first : first + together], strict=False)
+        ]
         running = [lane for lane in lanes if lane.begin(forward)]
         while running:
             actions = forward.predict(policy, deterministic=deterministic)
@@ -92,10 +115,12 @@ def in_order(
 
 
 def play_batch(policy: Predictor, worlds: BatchSupervisor, seeds: Sequence[int]) -> Iterator[NumberedEpisode]:
-    """The episodes of `play_episodes` in a batch of worlds, with the likeliest actions; there are at least as many seeds as worlds.
+    """The episodes of `play_episodes` in a batch of worlds, with the likeliest actions; there are at least as
+    many seeds as worlds.
 
-    World i sits in row i mod `FORWARD_BATCH_SIZE` of one of several forward passes, and goes through episodes that sit in the same row of
-    `play_episodes`. With copies of a robot each world has a forward pass of its own, with a row for each copy.
+    World i sits in row i mod `FORWARD_BATCH_SIZE` of one of several forward passes, and goes through episodes
+    that sit in the same row of `play_episodes`. With copies of a robot each world has a forward pass of its
+    own, with a row for each copy.
 
     Raises:
         DeepbotsError: A world fails; `play_episodes` says where.
@@ -140,18 +165,25 @@ def play_batch(policy: Predictor, worlds: BatchSupervisor, seeds: Sequence[int])
 class PolicyDriver(Driver):
     """The policy of a model.
 
-    If the start of an episode has a number, the actions are bit for bit those of the evaluation episode with this number. For copies of a
-    robot this is always true, because each forward pass has one row per copy.
+    If the start of an episode has a number, the actions are bit for bit those of the evaluation episode with
+    this number. For copies of a robot this is always true, because each forward pass has one row per copy.
 
     Args:
         batch: The batch of `world`; the policy then acts in all of its worlds, with one row per world.
     """
 
     def __init__(
-        self, policy: Predictor, world: gym.Env[Any, Any], *, deterministic: bool = True, batch: BatchSupervisor | None = None
+        self,
+        policy: Predictor,
+        world: gym.Env[Any, Any],
+        *,
+        deterministic: bool = True,
+        batch: BatchSupervisor | None = None,
     ) -> None:
         self._policy, self._world, self._deterministic = policy, world, deterministic
-        self._size = batch.count if batch else len(world.get_wrapper_attr("agents")) if has_copies(world) else 0
+        self._size = (
+            batch.count if batch else len(world.get_wrapper_attr("agents")) if has_copies(world) else 0
+        )
         self._takes_masks = policy.takes_masks and world.has_wrapper_attr("action_masks")
         self._masks = batch.action_masks if batch else lambda: world.get_wrapper_attr("action_masks")()
         self._forward: ForwardPass | None = None
@@ -164,7 +196,9 @@ class PolicyDriver(Driver):
         self._memory, self._starts[:], self._forward = None, True, None
         if start.number is not None and not self._size:
             self._row = start.number % FORWARD_BATCH_SIZE
-            self._forward = ForwardPass(self._world.observation_space, _choices(self._world) if self._takes_masks else None)
+            self._forward = ForwardPass(
+                self._world.observation_space, _choices(self._world) if self._takes_masks else None
+            )
 
     def act(self, observation: Any) -> Any:
         if self._forward is not None:
@@ -173,7 +207,9 @@ class PolicyDriver(Driver):
         masks = self._masks() if self._takes_masks else None
         if masks is not None and self._size:
             masks = masks.reshape(self._size, -1)
-        action, self._memory = self._policy.predict(observation, self._memory, self._starts, self._deterministic, masks)
+        action, self._memory = self._policy.predict(
+            observation, self._memory, self._starts, self._deterministic, masks
+        )
         self._starts = np.zeros_like(self._starts)
         return action
 
@@ -181,7 +217,8 @@ class PolicyDriver(Driver):
 def _seed_sampling(seed: int) -> None:
     """Seed the generators of torch on the devices in use.
 
-    Without a GPU `torch.manual_seed` takes 0.1 to 1 ms, since it prints the stack for each kind of device and keeps it.
+    Without a GPU `torch.manual_seed` takes 0.1 to 1 ms, since it prints the stack for each kind of device and
+    keeps it.
     """
     if torch.cuda.is_initialized():  # type: ignore[no-untyped-call]
         torch.manual_seed(seed)
@@ -192,8 +229,8 @@ def _seed_sampling(seed: int) -> None:
 class ForwardPass:
     """The observations of one forward pass; rows of worlds that do not run keep what they last held.
 
-    If the policy takes action masks, `masks` holds which of the `choices` of each row are allowed. A recurrent policy
-    has a `memory` for each row, which it forgets where `starts` says that an episode begins.
+    If the policy takes action masks, `masks` holds which of the `choices` of each row are allowed. A
+    recurrent policy has a `memory` for each row, which it forgets where `starts` says that an episode begins.
     """
 
     def __init__(self, space: gym.Space[Any], choices: int | None, size: int = FORWARD_BATCH_SIZE) -> None:
@@ -201,12 +238,16 @@ class ForwardPass:
         self.starts = np.ones(size, dtype=bool)
         self.masks: Array | None = None if choices is None else np.ones((size, choices), dtype=bool)
         self.observations: Any = (
-            {key: _zeros(part, size) for key, part in space.spaces.items()} if isinstance(space, gym.spaces.Dict) else _zeros(space, size)
+            {key: _zeros(part, size) for key, part in space.spaces.items()}
+            if isinstance(space, gym.spaces.Dict)
+            else _zeros(space, size)
         )
 
     def predict(self, policy: Predictor, *, deterministic: bool) -> Any:
         """An action for each row."""
-        actions, self.memory = policy.predict(self.observations, self.memory, self.starts, deterministic, self.masks)
+        actions, self.memory = policy.predict(
+            self.observations, self.memory, self.starts, deterministic, self.masks
+        )
         self.starts[:] = False
         return actions
 
@@ -246,7 +287,9 @@ def _zeros(space: gym.Space[Any], rows: int) -> Array:
 class EvaluationLane:
     """One world that goes through its episodes `numbers`, in one row of a forward pass."""
 
-    def __init__(self, world: gym.Env[Any, Any], row: int, numbers: Iterable[int], seeds: Sequence[int]) -> None:
+    def __init__(
+        self, world: gym.Env[Any, Any], row: int, numbers: Iterable[int], seeds: Sequence[int]
+    ) -> None:
         self.row = self.number = row
         self._world, self._numbers, self._seeds = world, iter(numbers), seeds
         self._accumulator = EpisodeAccumulator()

@@ -16,9 +16,20 @@ from tests.insight.logs import train_shuttle
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of CartPole with short episodes that draw two values; not to be changed."""
     folder = tmp_path_factory.mktemp("insight")
-    overrides = ["truncation.max_steps=12", "world.arena.friction=uniform(0.8 .. 1.2)", "train.environments=2", "train.n_steps=64"]
+    overrides = [
+        "truncation.max_steps=12",
+        "world.arena.friction=uniform(0.8 .. 1.2)",
+        "train.environments=2",
+        "train.n_steps=64",
+    ]
     compiled = api.compile("cartpole", overrides=overrides)
-    trained = train(compiled, run=folder / "cartpole", seed=3, total_timesteps=256, command=("deepbots", "train", "<b>cartpole</b>"))
+    trained = train(
+        compiled,
+        run=folder / "cartpole",
+        seed=3,
+        total_timesteps=256,
+        command=("deepbots", "train", "<b>cartpole</b>"),
+    )
     Run.open(trained.run).write_evaluation(evaluate(trained.run, episodes=12).model_dump(mode="json"))
     return trained.run
 

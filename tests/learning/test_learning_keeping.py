@@ -19,11 +19,17 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Training
 from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE
 
-SHORT = Training("PPO", 400, 2, tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))))
+SHORT = Training(
+    "PPO",
+    400,
+    2,
+    tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))),
+)
 
 
 class PaidByTurn:
-    """Builds worlds that pay 1 a step to the models that play in certain turns, each in `FORWARD_BATCH_SIZE` worlds."""
+    """Builds worlds that pay 1 a step to the models that play in certain turns, each in `FORWARD_BATCH_SIZE`
+    worlds."""
 
     def __init__(self, *turns: int) -> None:
         self.turns, self.count = turns, 0
@@ -39,7 +45,9 @@ class Paid(stand_in.CartPole):
         super().__init__(program)
         self.worlds, self.reward = worlds, reward
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         if seed is not None:
             self.worlds.seeds.add(seed)
         return super().reset(seed=seed, options=options)
@@ -100,7 +108,9 @@ def test_the_best_model_is_chosen_again_on_new_starts_and_evaluated_on_others(ru
 def test_a_run_of_before_whose_best_model_was_chosen_by_return_is_judged_again(run: Run) -> None:
     record = json.loads((run.path / "run.json").read_text())
     record["result"].pop("best")
-    (run.path / "run.json").write_text(json.dumps(record | {"result": record["result"] | {"best_return": 12.5}}))
+    (run.path / "run.json").write_text(
+        json.dumps(record | {"result": record["result"] | {"best_return": 12.5}})
+    )
     keep(ModelRef.open(run.path), build=stand_in.build)
     result = RunRecord.read(run.path).result
     assert result is not None

@@ -48,9 +48,17 @@ def test_an_edited_criterion_does_not_make_a_run_solved(run_copy: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "where", [{"stage": "easy"}, {"case": "easy"}, {"set": ["solved=mean_return >= 1 over 9 episodes"]}, {"elsewhere": "easy.yaml"}]
+    "where",
+    [
+        {"stage": "easy"},
+        {"case": "easy"},
+        {"set": ["solved=mean_return >= 1 over 9 episodes"]},
+        {"elsewhere": "easy.yaml"},
+    ],
 )
-def test_an_evaluation_of_an_easy_stage_or_another_scenario_does_not_make_a_run_solved(run_copy: Path, where: dict[str, object]) -> None:
+def test_an_evaluation_of_an_easy_stage_or_another_scenario_does_not_make_a_run_solved(
+    run_copy: Path, where: dict[str, object]
+) -> None:
     run = Run.open(run_copy)
     found = evaluate(run, episodes=12, build=stand_in.build).model_dump(mode="json")
     run.write_evaluation(found | where | {"solved": True, "episodes": 999})
@@ -71,7 +79,14 @@ def test_training_episodes_make_no_run_solved(run_copy: Path) -> None:
     run = Run.open(run_copy)
     run.write_evaluation(evaluate(run, episodes=3, build=stand_in.build).model_dump(mode="json"))
     record = json.loads((run_copy / "run.json").read_text())
-    at = {"episode": 3, "steps": 90, "simulated_hours": 0.1, "cpu_seconds": 1.0, "mean_return": 200.0, "success_rate": 0.0}
+    at = {
+        "episode": 3,
+        "steps": 90,
+        "simulated_hours": 0.1,
+        "cpu_seconds": 1.0,
+        "mean_return": 200.0,
+        "success_rate": 0.0,
+    }
     record["result"]["solved_at"] = at
     (run_copy / "run.json").write_text(json.dumps(record))
     verdict = run_verdict(run_copy, Run.open(run_copy).record)
@@ -84,18 +99,29 @@ def test_a_run_that_is_not_solved_is_not_listed_with_the_steps_until_it_was(run_
     evaluated = evaluate(run, episodes=12, build=stand_in.build)
     run.write_evaluation(evaluated.model_copy(update={"solved": True}).model_dump(mode="json"))
     record = json.loads((run_copy / "run.json").read_text())
-    at = {"episode": 3, "steps": 90, "simulated_hours": 0.1, "cpu_seconds": 1.0, "mean_return": 200.0, "success_rate": 0.0}
+    at = {
+        "episode": 3,
+        "steps": 90,
+        "simulated_hours": 0.1,
+        "cpu_seconds": 1.0,
+        "mean_return": 200.0,
+        "success_rate": 0.0,
+    }
     record["result"] |= {"solved_at": at, "confirmations": 1}
     (run_copy / "run.json").write_text(json.dumps(record))
     listed = read_listed(run_copy)
     assert (listed.solved, listed.solved_after) == (True, 90)
     # An evaluation of more episodes says otherwise.
-    run.write_evaluation(evaluated.model_copy(update={"episodes": 300, "solved": False}).model_dump(mode="json"))
+    run.write_evaluation(
+        evaluated.model_copy(update={"episodes": 300, "solved": False}).model_dump(mode="json")
+    )
     listed = read_listed(run_copy)
     assert (listed.solved, listed.solved_after) == (False, None)
 
 
-def test_equal_returns_are_not_shown_as_an_interval_around_them(run_copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_equal_returns_are_not_shown_as_an_interval_around_them(
+    run_copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     run = Run.open(run_copy)
     found = evaluate(run, episodes=3, build=stand_in.build)
     same = {"mean_return": 0.0, "std_return": 0.0, "least_return": 0.0, "greatest_return": 0.0}
