@@ -2,6 +2,7 @@
 
 training.py      train and resume: joins all of the below
 evaluation.py    evaluate: a policy on held-out starts, with intervals; `load_model`, the model of a run
+held_out.py      held-out episodes: the worlds that play them, and their starts during a training
 verdict.py       which evaluation of a run counts, and whether the run is solved
 run.py           the run directory: what is kept, written atomically, read with suspicion
 learner.py       what learns: the interface of an algorithm, and a base for algorithms of other packages
@@ -32,7 +33,7 @@ listing.py       what is known of runs, groups and studies from their files, als
 comparison.py    compare: groups of runs on the same starts; a group as one
 robustness.py    a policy under changed conditions
 statistics.py    intervals, gates that may stop early, comparisons of groups of runs
-report.py        results as JSON, progress of a training and of a group
+report.py        progress of a training and of a group
 failures.py      what failed in an episode, kept to be reproduced
 policy.py        a trained policy as an object to call
 
