@@ -386,7 +386,11 @@ def _entry_of_joint(path: str, scenario: WrittenScenario) -> str | None:
 
 
 def _kind(before: bool, after: bool) -> Kind:
-    return "changed" if before and after else "removed" if before else "added"
+    if before and after:
+        return "changed"
+    if before:
+        return "removed"
+    return "added"
 
 
 def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> tuple[str, str]:

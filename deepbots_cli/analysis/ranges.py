@@ -140,7 +140,12 @@ class Ranges:
     def _op(self, op: str, args: Sequence[Scalar]) -> Interval:
         if op == "where":
             condition = self.of(args[0])
-            chosen = args[1:2] if condition.low > 0.0 else args[2:] if condition.high <= 0.0 else args[1:]
+            if condition.low > 0.0:
+                chosen = args[1:2]
+            elif condition.high <= 0.0:
+                chosen = args[2:]
+            else:
+                chosen = args[1:]
             return hull([self.of(arg) for arg in chosen])
         if op == "mul" and args[0] == args[1]:
             return iv.power(self.of(args[0]), single(2.0))
@@ -360,4 +365,8 @@ def _number(value: float, dimension: Dimension) -> str:
 
 
 def _unit(dimension: Dimension) -> str:
-    return "" if dimension == NUMBER else " deg" if dimension == ANGLE else f" {dimension}"
+    if dimension == NUMBER:
+        return ""
+    if dimension == ANGLE:
+        return " deg"
+    return f" {dimension}"

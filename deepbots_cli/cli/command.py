@@ -370,13 +370,12 @@ class Commands(TyperGroup):
             others = [name for name, meant in REPLACEMENTS.items() if meant.startswith("deepbots ")]
             near = nearest_word(cmd_name, (*COMMANDS, *others)) or ""
             other = f"the commands are: {', '.join(COMMANDS)}"
-            hint = (
-                f"use `{REPLACEMENTS[near]}`"
-                if near in REPLACEMENTS
-                else f"did you mean '{near}'?"
-                if near
-                else other
-            )
+            if near in REPLACEMENTS:
+                hint = f"use `{REPLACEMENTS[near]}`"
+            elif near:
+                hint = f"did you mean '{near}'?"
+            else:
+                hint = other
             ctx.fail(f"there is no command '{cmd_name}'; {hint}")
         return _command(cmd_name)
 

@@ -49,7 +49,11 @@ def _exit_code(run: Callable[[], object]) -> int:
     try:
         run()
     except SystemExit as end:
-        return end.code if isinstance(end.code, int) else FAILED if end.code else 0
+        if isinstance(end.code, int):
+            return end.code
+        if end.code:
+            return FAILED
+        return 0
     except ScenarioError as error:
         terminal.show_findings(error.findings)
         return FAILED

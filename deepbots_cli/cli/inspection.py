@@ -390,9 +390,12 @@ def _parameters(scenario: Program, root: Node) -> list[Row]:
             often.get(leaf.name, "in every episode") for value in entry.scalars for leaf in names_in(value)
         }
         is_new = entry.redraw or reads - {"in every episode"}
-        often[entry.name] = (
-            "repeatedly" if entry.period else "in every step" if is_new else "in every episode"
-        )
+        if entry.period:
+            often[entry.name] = "repeatedly"
+        elif is_new:
+            often[entry.name] = "in every step"
+        else:
+            often[entry.name] = "in every episode"
     names = entries_at(root, "parameters")
     return [
         {"parameter": name, "value": text_at(root, "parameters", name), "drawn": often.get(name, "never")}
@@ -525,7 +528,15 @@ def message_size(layout: MessageLayout, format: str) -> int | None:
 
 def _msgpack_head(size: int) -> int:
     """Bytes before a truth value (1 byte, which is its own head), a number (8), or a picture."""
-    return 0 if size == 1 else 1 if size == 8 else 2 if size < 2**8 else 3 if size < 2**16 else 5
+    if size == 1:
+        return 0
+    if size == 8:
+        return 1
+    if size < 2**8:
+        return 2
+    if size < 2**16:
+        return 3
+    return 5
 
 
 def _size(field: MessageField) -> int:
@@ -714,7 +725,12 @@ def timing(scenario: Program) -> list[Row]:
     for name, scalar in observed:
         ticks = _whole(_age(scalar, ages))
         after = 0 if ticks is None else substeps * (repeat - ticks)
-        behind = f" + {after}" if after > 0 else f" - {-after}" if after else ""
+        if after > 0:
+            behind = f" + {after}"
+        elif after:
+            behind = f" - {-after}"
+        else:
+            behind = ""
         rows.append(
             {
                 "what": "observation",

@@ -18,7 +18,12 @@ def available_cores() -> int:
 
 def check_dividable(workers: int | None, address: str | None, count: int, reason: str) -> None:
     """Raises: UsageError: There are workers for `count` parts, fewer than two; `reason` says why."""
-    option = "--workers" if workers is not None else "--cluster" if address is not None else None
+    if workers is not None:
+        option = "--workers"
+    elif address is not None:
+        option = "--cluster"
+    else:
+        option = None
     if option is not None and count < 2:
         raise UsageError(f"{option} has nothing to divide, since {reason}")
 

@@ -226,7 +226,12 @@ def evaluation_text(
         **_statistics(result, success_defined=result.success_defined),
         **{f"reward {name}": f"{mean:.2f} per episode" for name, mean in terms.items()},
     }
-    where = f", case {result.case}" if result.case else f", stage {result.stage}" if result.stage else ""
+    if result.case:
+        where = f", case {result.case}"
+    elif result.stage:
+        where = f", stage {result.stage}"
+    else:
+        where = ""
     text = "\n".join(
         [f"evaluation of {result.scenario}{where}", row_as_lines(rows), *_notes(result.notes), result.verdict]
     )

@@ -187,7 +187,9 @@ def _names(scenario: Program) -> Iterator[str]:
 
 def _as_isort(name: str) -> tuple[int, str]:
     """Constants, classes, functions."""
-    return 0 if name.isupper() else 1 if name[0].isupper() else 2, name
+    if name.isupper():
+        return 0, name
+    return 1 if name[0].isupper() else 2, name
 
 
 def _without_gaps(lines: list[str]) -> list[str]:

@@ -288,7 +288,12 @@ def wrap_line(line: str) -> list[str]:
     if equals and ", " in code[: equals[0]] and equals[0] > WIDTH // 2:
         return [f"{pad}(", *_one_each(pad, _split(code[: equals[0]], ", ")), f"{pad}){code[equals[0] :]}"]
     added = list(_places(code, " += "))
-    start = equals[-1] + 3 if equals else added[-1] + 4 if added else 0
+    if equals:
+        start = equals[-1] + 3
+    elif added:
+        start = added[-1] + 4
+    else:
+        start = 0
     statement = _STATEMENT.fullmatch(code[start:])
     if statement is None or code.startswith("def "):
         return _at_brackets(pad, code)

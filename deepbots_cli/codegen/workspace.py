@@ -505,4 +505,8 @@ def whole_vector(
 
 def zeros(components: Sequence[str]) -> str:
     """The code of 0, once for each component."""
-    return ("(0.0,)" if len(components) == 1 else f"(0.0,) * {len(components)}") if components else "0.0"
+    if components:
+        if len(components) == 1:
+            return "(0.0,)"
+        return f"(0.0,) * {len(components)}"
+    return "0.0"

@@ -105,13 +105,12 @@ def choose(program: Program, *, has_teacher: bool = False) -> Choice:
     if settings["algorithm"] == "PPO":
         is_masked = any(option.forbidden is not None for part in agent.choices for option in part.options)
         algorithm = "MaskablePPO" if is_masked else "PPO"
-        why = (
-            "some choices are forbidden"
-            if is_masked
-            else "it imitates a teacher"
-            if has_teacher
-            else "it suits any action"
-        )
+        if is_masked:
+            why = "some choices are forbidden"
+        elif has_teacher:
+            why = "it imitates a teacher"
+        else:
+            why = "it suits any action"
         reasons = {"algorithm": f"{algorithm}: {why}"} | reasons
         settings |= {
             "algorithm": algorithm,

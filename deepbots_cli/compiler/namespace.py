@@ -317,7 +317,11 @@ class Namespace:
         typed = self.typed(text, dimension=dimension, known=Known.FIXED)
         numbers = self.values.fixed(typed, text, f"`{key}`") if typed else None
         is_vector = isinstance(kind, Column) or kind.components
-        return None if numbers is None else tuple(map(float, numbers)) if is_vector else float(numbers[0])
+        if numbers is None:
+            return None
+        if is_vector:
+            return tuple(map(float, numbers))
+        return float(numbers[0])
 
     def noise(self, section: Section, of: Typed) -> Noise | None:
         """The `noise` of a section on the value `of`: its standard deviation in the unit of the value, or

@@ -557,13 +557,12 @@ class Layouts(NamespaceReader):
     def weighted_layouts(self) -> tuple[Layout, ...]:
         """Each layout with its share; all others are read for their findings alone."""
         spec, layouts = self._spec.reset.layout, self._spec.reset.layouts
-        shares = (
-            self._shares()
-            if isinstance(spec, dict)
-            else {spec: 1.0}
-            if spec is not None
-            else dict.fromkeys(list(layouts)[:1], 1.0)
-        )
+        if isinstance(spec, dict):
+            shares = self._shares()
+        elif spec is not None:
+            shares = {spec: 1.0}
+        else:
+            shares = dict.fromkeys(list(layouts)[:1], 1.0)
         if spec is None and len(layouts) > 1:
             one, other = list(layouts)[:2]
             help = (

@@ -193,7 +193,12 @@ def warn_beyond_limits(
     units = [
         number.unit for number in numbers if number.unit is not None and number.unit.dimension == dimension
     ]
-    unit = units[0] if units else UNITS["deg"] if dimension == ANGLE else Unit(str(dimension), dimension)
+    if units:
+        unit = units[0]
+    elif dimension == ANGLE:
+        unit = UNITS["deg"]
+    else:
+        unit = Unit(str(dimension), dimension)
 
     def in_unit(known: Interval) -> str:
         low, high = (f"{end / unit.to_si(1.0):.{_DIGITS}g}" for end in known)
@@ -226,13 +231,11 @@ def _within(text: SourceText, numbers: list[syntax.Number], allowed: Interval) -
 def _clamped(number: syntax.Number, allowed: Interval) -> float:
     one = number.unit.to_si(1.0) if number.unit else 1.0
     low, high = (end / one for end in allowed)
-    return (
-        _rounded(low, math.ceil)
-        if number.value < low
-        else _rounded(high, math.floor)
-        if number.value > high
-        else number.value
-    )
+    if number.value < low:
+        return _rounded(low, math.ceil)
+    if number.value > high:
+        return _rounded(high, math.floor)
+    return number.value
 
 
 def _numbers(tree: syntax.Node) -> Iterator[syntax.Number]:

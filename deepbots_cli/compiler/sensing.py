@@ -390,7 +390,12 @@ def _error(
     if key not in spec.model_fields_set:
         return (), ()
     relative = key != "drift" and "%" in namespace.values.field(spec, key).text
-    dimension = NUMBER if relative else typed.dimension / TIME if key == "drift" else typed.dimension
+    if relative:
+        dimension = NUMBER
+    elif key == "drift":
+        dimension = typed.dimension / TIME
+    else:
+        dimension = typed.dimension
     of, drawn = _owner(spec.path, f"relative_{key}" if relative else key), len(namespace.variations)
     error = (
         namespace.vector_or_randomized(

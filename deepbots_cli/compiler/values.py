@@ -467,7 +467,12 @@ class ValueReader:
             odd, help = broken[0], "write a whole number"
         else:
             return True
-        verb = "can be" if constants is None else "is" if len(constants) == 1 else "contains"
+        if constants is None:
+            verb = "can be"
+        elif len(constants) == 1:
+            verb = "is"
+        else:
+            verb = "contains"
         self.add("DB105", text.span, f"{what} {verb} {_with_unit(odd, unit)}", help)
         return False
 

@@ -144,13 +144,12 @@ def _is_sensible(namespace: Namespace, place: NodePath, file: FilePath, mesh: Me
         abs(factor) * (high - low)
         for factor, low, high in zip(mesh.scale, measured.lower, measured.upper, strict=True)
     ]
-    code = (
-        None
-        if _SMALL_MESH_M <= max(size) <= _LARGE_MESH_M
-        else "DB505"
-        if _MIN_MESH_M <= max(size) <= _MAX_MESH_M
-        else "DB105"
-    )
+    if _SMALL_MESH_M <= max(size) <= _LARGE_MESH_M:
+        code = None
+    elif _MIN_MESH_M <= max(size) <= _MAX_MESH_M:
+        code = "DB505"
+    else:
+        code = "DB105"
     if code is not None:
         shown = " x ".join(f"{side:.3g}" for side in size)
         values.add(
@@ -238,7 +237,6 @@ def wall_piece_names(name: str, spec: world_spec.Wall) -> tuple[str, ...]:
 def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[ObjectBody]:
     points = _points(spec, namespace)
     height, thickness = namespace.fixed(spec, "height"), namespace.fixed(spec, "thickness")
-    ends = () if points is None else (*points[1:], points[0]) if spec.closed else points[1:]
     names = wall_piece_names(name, spec)
     friction = namespace.scalar_or_randomized(spec, "friction", "walls_friction", OfWalls(names), None)
     if points is None or height is None or thickness is None or friction is None:
@@ -246,6 +244,7 @@ def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[Ob
         return ()
     paint = namespace.color(spec) or WALL_COLOR
     boxes = []
+    ends = (*points[1:], points[0]) if spec.closed else points[1:]
     for piece, one, other in zip(names, points, ends, strict=False):
         heading = math.atan2(other[1] - one[1], other[0] - one[0])
         middle = ((one[0] + other[0]) / 2, (one[1] + other[1]) / 2, height / 2)
@@ -507,13 +506,12 @@ def _parameters(spec: world_spec.World, namespace: Namespace) -> dict[str, Any]:
 
 
 def _check_timestep(timestep: float, spec: world_spec.World, namespace: Namespace) -> None:
-    code = (
-        None
-        if _SHORT_TIMESTEP_S <= timestep <= _LONG_TIMESTEP_S
-        else "DB505"
-        if _MIN_TIMESTEP_S <= timestep <= _MAX_TIMESTEP_S
-        else "DB105"
-    )
+    if _SHORT_TIMESTEP_S <= timestep <= _LONG_TIMESTEP_S:
+        code = None
+    elif _MIN_TIMESTEP_S <= timestep <= _MAX_TIMESTEP_S:
+        code = "DB505"
+    else:
+        code = "DB105"
     if code:
         text = namespace.values.field(spec, "timestep")
         written = re.fullmatch(r"\s*([0-9.]+)\s*s\s*", text.text)

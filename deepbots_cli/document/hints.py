@@ -436,13 +436,12 @@ def report_decimal_commas(
         if last and key and _DECIMALS.fullmatch(behind) and _WHOLE_PART.search(last.text):
             start = cut.pop().start if cut and cut[-1].end == last.end else last.start
             cut.append(Span(key.span.source, start, key.span.end))
-        last = (
-            key.span
-            if key and is_empty
-            else value.span
-            if isinstance(value, ScalarNode) and value.style == "plain"
-            else None
-        )
+        if key and is_empty:
+            last = key.span
+        elif isinstance(value, ScalarNode) and value.style == "plain":
+            last = value.span
+        else:
+            last = None
     for span in cut:
         text, fix = span.text.replace(",", "."), None
         help = f"write a decimal point: `{text}`"

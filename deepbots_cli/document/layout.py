@@ -226,7 +226,12 @@ def _structure(text: str) -> tuple[dict[int, int], set[int], dict[int, tuple[int
         is_key = token.kind == "?" or (is_key and token.end == token.start)
         flow += (token.kind in _OPENING) - (token.kind in _CLOSING)
         last = line + text.count("\n", token.start, token.start + len(text[token.start : token.end].rstrip()))
-        first = max(opened + 1, settled_to) if flow else line if token.kind in _CLOSING else line + 1
+        if flow:
+            first = max(opened + 1, settled_to)
+        elif token.kind in _CLOSING:
+            first = line
+        else:
+            first = line + 1
         inside.update(range(first, last + 1))
         settled_to = last + 1  # the lines above are done
     return shifts, inside, dashes
@@ -272,7 +277,8 @@ def _under(head: str, value: Node, pad: str) -> Iterator[str]:
     """The lines of an entry; a scalar or an empty collection follows its key on the same line."""
     lines = list(_lines(value, f"{pad}  "))
     if isinstance(value, ScalarNode) or not lines:
-        yield f"{head} {lines[0].strip() if lines else '{}' if isinstance(value, MappingNode) else '[]'}"
+        empty = "{}" if isinstance(value, MappingNode) else "[]"
+        yield f"{head} {lines[0].strip() if lines else empty}"
     else:
         yield head
         yield from lines

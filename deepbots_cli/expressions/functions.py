@@ -107,7 +107,11 @@ class Param(NamedTuple):
         shown = {Form.RANGE: "low .. high", Form.SPREAD: "mean +- std", Form.OPTIONS: "a | b | ..."}.get(
             self.form, self.name
         )
-        return f"[{shown}]" if self.optional else f"{shown}, ..." if self.variadic else shown
+        if self.optional:
+            return f"[{shown}]"
+        if self.variadic:
+            return f"{shown}, ..."
+        return shown
 
 
 class Reduction(NamedTuple):

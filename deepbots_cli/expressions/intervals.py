@@ -180,7 +180,11 @@ def clamp(a: Interval, low: Interval, high: Interval) -> Interval:
 
 def where(condition: Interval, a: Interval, b: Interval) -> Interval:
     """`a` where the condition holds, otherwise `b`."""
-    return a if condition.low > 0.0 else b if condition.high <= 0.0 else hull((a, b))
+    if condition.low > 0.0:
+        return a
+    if condition.high <= 0.0:
+        return b
+    return hull((a, b))
 
 
 def multiply_by_count(a: Interval, count: int) -> Interval:
@@ -206,7 +210,11 @@ def atan2(y: Interval, x: Interval) -> Interval:
 
 
 def _truth(sure: bool, out: bool) -> Interval:
-    return ALWAYS if sure else NEVER if out else TRUTH
+    if sure:
+        return ALWAYS
+    if out:
+        return NEVER
+    return TRUTH
 
 
 def less(a: Interval, b: Interval) -> Interval:

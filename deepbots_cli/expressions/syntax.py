@@ -193,9 +193,13 @@ Node = (
 
 def children(node: Node) -> tuple[Node, ...]:
     """The nodes directly below `node`, in the order of the text."""
-    parts: tuple[object, ...] = (
-        node.args if isinstance(node, Call) else node.items if isinstance(node, Vector | Options) else node
-    )
+    parts: tuple[object, ...]
+    if isinstance(node, Call):
+        parts = node.args
+    elif isinstance(node, Vector | Options):
+        parts = node.items
+    else:
+        parts = node
     return tuple(part for part in parts if isinstance(part, Node))
 
 

@@ -78,9 +78,11 @@ class Type(NamedTuple):
     @property
     def description(self) -> str:
         """For a sentence: `a speed (m/s)`, `a truth value`."""
-        return (
-            "a picture" if self.picture else "a truth value" if self.boolean else self.dimension.description
-        )
+        if self.picture:
+            return "a picture"
+        if self.boolean:
+            return "a truth value"
+        return self.dimension.description
 
     @property
     def has_group_components(self) -> bool:

@@ -54,5 +54,10 @@ def _unit(text: str) -> Unit | None:
         if name not in UNITS:
             return None
         power = UNITS[name] if not exponent else UNITS[name].to_power(int(exponent))._replace(text=word)
-        whole = whole.per(power) if divides else power if whole is ONE else whole.times(power)
+        if divides:
+            whole = whole.per(power)
+        elif whole is ONE:
+            whole = power
+        else:
+            whole = whole.times(power)
     return whole._replace(text=text)

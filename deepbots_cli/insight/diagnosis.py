@@ -441,8 +441,9 @@ def learning_rate_too_high(t: TrainingEvidence) -> Numbers | None:
     if not (((clipped >= 0.5 or kl >= 0.3) and times > 2) or times >= 20):
         return None
     first, last = (float(t.episodes_between(*ends).returns.mean()) for ends in ((0.0, 0.25), (0.75, 1.0)))
+    unlikely = 0.75 if times > 5 else 0.5
     return {
-        "likelihood": 0.93 if times >= 20 else 0.75 if times > 5 else 0.5,
+        "likelihood": 0.93 if times >= 20 else unlikely,
         "rate": rate,
         "usual": usual,
         "times": times,

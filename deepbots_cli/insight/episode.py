@@ -105,7 +105,12 @@ def margin(trace: Trace) -> Numbers | None:
         return None
     value, bound = end.condition.sides
     named = f" ({bound})" if not bound[:1].isdigit() else ""
-    where = "over" if end.value > end.bound else "under" if end.value < end.bound else "away from"
+    if end.value > end.bound:
+        where = "over"
+    elif end.value < end.bound:
+        where = "under"
+    else:
+        where = "away from"
     return {
         **end.as_json(),
         "side": value,

@@ -116,8 +116,9 @@ def saturated_observation(t: TrainingEvidence) -> Numbers | None:
         return None
     part, mean = len(worst) / len(shares), float(np.mean([shares[name] for name in worst]))
     # Numbers that are almost always beyond an end come before the length of the training.
+    by_mean = 0.85 if mean >= 0.8 else 0.55 * part
     return {
-        "likelihood": 0.95 if part >= 0.75 else 0.85 if mean >= 0.8 else 0.55 * part,
+        "likelihood": 0.95 if part >= 0.75 else by_mean,
         "count": len(worst),
         "of": len(shares),
         "names": list_text(worst),

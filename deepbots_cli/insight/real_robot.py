@@ -350,7 +350,12 @@ class RobotEpisodes:
                     rollout.steps(self.environment, self._noting(driver), start), left
                 )
                 episode = rollout.result_of(steps, start.seed)
-                cut = SILENT if self._is_silent else RESET_BY_ROBOT if self._restarted else "--steps"
+                if self._is_silent:
+                    cut = SILENT
+                elif self._restarted:
+                    cut = RESET_BY_ROBOT
+                else:
+                    cut = "--steps"
                 self.done.append(episode if episode.ended_by else replace(episode, ended_by=cut))
                 left = None if left is None else left - episode.length
                 if left == 0 or self._is_silent:

@@ -525,8 +525,9 @@ def success_never_seen(t: TrainingEvidence) -> Numbers | None:
         )
         if uses_path:
             remedy = f"Make success earn more than '{name}' can,"
+    uncertain = 0.7 if t.is_mature else 0.45
     return {
-        "likelihood": 0.93 if flat else 0.7 if t.is_mature else 0.45,
+        "likelihood": 0.93 if flat else uncertain,
         "episodes": len(t.episodes),
         "count": count,
         "seen": f"Only {count}" if count else "None",

@@ -129,7 +129,11 @@ def _number_text(value: Any) -> str:
     match value:
         case Percentage():
             rounded = 0 < value < 0.005 or 0.995 <= value < 1
-            return f"{value:.0%}" if not rounded else "less than 1%" if value < 0.5 else "more than 99%"
+            if not rounded:
+                return f"{value:.0%}"
+            if value < 0.5:
+                return "less than 1%"
+            return "more than 99%"
         case float():
             return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"
         case int() if not isinstance(value, bool):

@@ -162,7 +162,12 @@ class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
         )
         outcome: Any = "error" if error else "not ended"
         if world.ended_by is not None and not error:
-            outcome = "success" if world.is_success else "time limit" if world.truncated else "failure"
+            if world.is_success:
+                outcome = "success"
+            elif world.truncated:
+                outcome = "time limit"
+            else:
+                outcome = "failure"
         return Trace(
             title=title,
             instrumented=self.instrumented,

@@ -637,13 +637,12 @@ class _Comparison:
         if x @ x > 0.0:
             factor = float(x @ y / (x @ x))
             exact = next((words for value, words in _UNITS.items() if abs(factor / value - 1.0) < 0.02), None)
-            words = (
-                "has the other sign"
-                if abs(factor + 1.0) < 0.02
-                else f"is {exact}"
-                if exact
-                else f"is multiplied by {factor:.3g}"
-            )
+            if abs(factor + 1.0) < 0.02:
+                words = "has the other sign"
+            elif exact:
+                words = f"is {exact}"
+            else:
+                words = f"is multiplied by {factor:.3g}"
             tried.append((f"{column.name} {words}", 0, [factor * values for values in mine]))
             offset = float(np.mean(y - x))
             tried.append(

@@ -120,7 +120,12 @@ def _listed_run(path: Path) -> ListedRun:
     success: float | None
     verdict = run_verdict(path, record)
     evaluation = verdict.evaluation
-    steps, episodes = recent[-1][:2] if recent else (result.steps, result.episodes) if result else (0, 0)
+    if recent:
+        (steps, episodes) = recent[-1][:2]
+    elif result:
+        (steps, episodes) = (result.steps, result.episodes)
+    else:
+        (steps, episodes) = (0, 0)
     if evaluation is not None:
         mean = evaluation.mean_return
         success = evaluation.success_rate if evaluation.success_defined else None
@@ -134,6 +139,7 @@ def _listed_run(path: Path) -> ListedRun:
     steps_of_best = evaluation.model_steps if evaluation is not None else None
     if steps_of_best is None and best is not None:
         steps_of_best = best.steps
+    of_training: Literal["training"] | None = None if mean is None else "training"
     return ListedRun(
         path,
         state,
@@ -150,7 +156,7 @@ def _listed_run(path: Path) -> ListedRun:
         mean_return=mean,
         return_interval=evaluation.return_interval if evaluation else None,
         success_rate=success,
-        score="evaluation" if evaluation else "training" if mean is not None else None,
+        score="evaluation" if evaluation else of_training,
         evaluated_episodes=evaluation.episodes if evaluation else None,
         remarks=evaluation.remarks if evaluation else (),
         solved=verdict.solved,
@@ -178,12 +184,17 @@ def _listed_group(path: Path) -> ListedRun:
     returns = [run.mean_return for run in runs if run.mean_return is not None]
     rates = [run.success_rate for run in runs if run.success_rate is not None]
     states = {run.state for run in listed.runs}
-    state: State = (
-        "training" if is_training(path) else "failed" if states & {"failed", "unreadable"} else "interrupted"
-    )
+    state: State
+    if is_training(path):
+        state = "training"
+    elif states & {"failed", "unreadable"}:
+        state = "failed"
+    else:
+        state = "interrupted"
     if state != "training" and states == {"finished"} and len(listed.runs) == len(group.planned):
         state = "finished"
     seeds = group.record.seeds
+    evaluated: Literal["evaluation"] | None = "evaluation" if returns else None
     return replace(
         listed,
         state=state,
@@ -193,7 +204,7 @@ def _listed_group(path: Path) -> ListedRun:
         total_timesteps=runs[0].total_timesteps * len(seeds) if runs and runs[0].total_timesteps else None,
         mean_return=fmean(returns) if returns else None,
         success_rate=fmean(rates) if rates else None,
-        score="training" if "training" in {run.score for run in runs} else "evaluation" if returns else None,
+        score="training" if "training" in {run.score for run in runs} else evaluated,
         evaluated_episodes=min(
             (run.evaluated_episodes for run in runs if run.evaluated_episodes), default=None
         ),

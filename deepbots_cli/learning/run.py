@@ -298,13 +298,12 @@ def read_json(path: Path, model: type[M], limit: int) -> M:
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         place = ".".join(str(part)[:40] for part in first["loc"])
-        reason = (
-            f"'{place}': {first['msg']}"
-            if place
-            else "it is not valid JSON"
-            if first["type"] == "json_invalid"
-            else first["msg"]
-        )
+        if place:
+            reason = f"'{place}': {first['msg']}"
+        elif first["type"] == "json_invalid":
+            reason = "it is not valid JSON"
+        else:
+            reason = first["msg"]
         raise RunError(f"{path} is damaged: {' '.join(reason.split())[:200]}") from error
 
 

@@ -191,7 +191,12 @@ def gate_mean(
     total, needed = math.fsum(returns), required * planned
     if left == 0:
         return Verdict(total >= needed, so_far)
-    met = True if total + left * bounds[0] >= needed else False if total + left * bounds[1] < needed else None
+    if total + left * bounds[0] >= needed:
+        met = True
+    elif total + left * bounds[1] < needed:
+        met = False
+    else:
+        met = None
     return Verdict(met, so_far if met is None else f"{so_far}, which the remaining {left} cannot change")
 
 

@@ -394,11 +394,8 @@ def create_study(
     training, solved = program.agent.training, program.agent.solved
     if training is None:
         raise UsageError(f"{program.name} has no `train` section; add `train: {{algorithm: auto}}`")
-    chosen = (
-        objective
-        or tune.objective
-        or ("solved" if solved else "success_rate" if program.defines_success else "mean_return")
-    )
+    usual: Objective = "success_rate" if program.defines_success else "mean_return"
+    chosen = objective or tune.objective or ("solved" if solved else usual)
     if chosen == "solved" and solved is None:
         raise UsageError(
             f"the objective `solved` needs the key `solved`, which {program.name} does not have; use"

@@ -345,7 +345,9 @@ def _seed_score(study: Study, group: Group, solved: Solved | None, seed: int) ->
         if evaluation.solved is not None
         else solved is not None and meets_solved(solved, evaluation.mean_return, rate)
     )
-    steps = (run.result.solved_at.steps if run.result.solved_at else run.result.steps) if met else None
+    steps = None
+    if met:
+        steps = run.result.solved_at.steps if run.result.solved_at else run.result.steps
     value = score(
         record.objective,
         solved,

@@ -182,9 +182,13 @@ class Simulation(RuleContext):
         seen = self._names_behind([entry.value for entry in program.agent.observation])
         paid = self._names_behind(program.agent.reward)
         for value in program.signals:
-            section: Section = (
-                "observation" if value.name in seen else "reward" if value.name in paid else "other"
-            )
+            section: Section
+            if value.name in seen:
+                section = "observation"
+            elif value.name in paid:
+                section = "reward"
+            else:
+                section = "other"
             yield _identifier(value.name), (value, section)
         for ending in program.endings:
             yield _identifier(ending.name), (ending, "other")

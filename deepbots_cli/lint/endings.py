@@ -231,7 +231,11 @@ def _later(program: Program) -> str:
     if limits.max_steps is None or limits.max_time is None:
         return ""
     steps, time = limits.max_steps * program.action_repeat, ceil(limits.max_time / timestep - 1e-9)
-    return "max_time" if time > steps else "max_steps" if steps > time else ""
+    if time > steps:
+        return "max_time"
+    if steps > time:
+        return "max_steps"
+    return ""
 
 
 def _later_ending(context: RuleContext) -> Iterator[Finding]:

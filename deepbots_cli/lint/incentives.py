@@ -119,7 +119,11 @@ LIVING_HELP = "raise the cost of a failure above the cost of all steps together,
 
 
 def _price(cost: float) -> str:
-    return "costs nothing" if cost == 0.0 else f"costs {-cost:.3g}" if cost < 0.0 else f"even pays {cost:.3g}"
+    if cost == 0.0:
+        return "costs nothing"
+    if cost < 0.0:
+        return f"costs {-cost:.3g}"
+    return f"even pays {cost:.3g}"
 
 
 def _share_notes(reward: RewardTerms, share: float, success: Expression) -> tuple[str, ...]:

@@ -590,13 +590,12 @@ def reading_not_supplied(context: RuleContext) -> Iterator[Finding]:
     for name, key in supplied.items():
         if name not in readings:
             near = nearest_word(name, readings)
-            help = (
-                f"did you mean `{near}`?"
-                if near
-                else "remove it"
-                if not readings
-                else f"the policy needs {', '.join(readings)}"
-            )
+            if near:
+                help = f"did you mean `{near}`?"
+            elif not readings:
+                help = "remove it"
+            else:
+                help = f"the policy needs {', '.join(readings)}"
             span = context.values.key_span(("deploy", "supplied_by", key))
             yield Finding("DB617", span, f"the policy does not need `{name}`", help)
 

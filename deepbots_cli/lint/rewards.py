@@ -201,7 +201,12 @@ def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
     while first <= last:
         end = min(last, 2 * first - 1)
         interval = reward.ranges_while_running((float(first), float(end))).of(node)
-        side = 1.0 if interval.low > 0.0 else -1.0 if interval.high < 0.0 else 0.0
+        if interval.low > 0.0:
+            side = 1.0
+        elif interval.high < 0.0:
+            side = -1.0
+        else:
+            side = 0.0
         if side == 0.0 or side == -sign:
             return 0.0
         sign = side

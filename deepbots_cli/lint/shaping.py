@@ -162,13 +162,12 @@ class Slope:
                 return _times(self.of(args[0]), self._sign(args[0]))
             case "pow":
                 base, exponent = self._ranges.of(args[0]), self._ranges.of(args[1])
-                sign = (
-                    1.0
-                    if base.low >= 0.0 and exponent.low > 0.0
-                    else -1.0
-                    if base.low > 0.0 and exponent.high < 0.0
-                    else None
-                )
+                if base.low >= 0.0 and exponent.low > 0.0:
+                    sign = 1.0
+                elif base.low > 0.0 and exponent.high < 0.0:
+                    sign = -1.0
+                else:
+                    sign = None
                 return _times(self.of(args[0]), sign)
             case _ if op in _RISING_FUNCTIONS:
                 return _sum([self.of(arg) for arg in args])
@@ -177,7 +176,11 @@ class Slope:
 
     def _sign(self, node: Scalar) -> float | None:
         interval = self._ranges.of(node)
-        return 1.0 if interval.low >= 0.0 else -1.0 if interval.high <= 0.0 else None
+        if interval.low >= 0.0:
+            return 1.0
+        if interval.high <= 0.0:
+            return -1.0
+        return None
 
     def _independent(self, args: tuple[Scalar, ...]) -> float | None:
         return 0.0 if all(self.of(arg) == 0.0 for arg in args) else None
@@ -192,7 +195,11 @@ def _times(slope: float | None, sign: float | None) -> float | None:
 def _sum(slopes: list[float | None]) -> float | None:
     """The slope in which all parts agree that are not 0."""
     nonzero = {slope for slope in slopes if slope != 0.0}
-    return 0.0 if not nonzero else nonzero.pop() if len(nonzero) == 1 else None
+    if not nonzero:
+        return 0.0
+    if len(nonzero) == 1:
+        return nonzero.pop()
+    return None
 
 
 def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:

@@ -303,13 +303,12 @@ def _file(view: CursorView, target: KeyOrValue, open_uris: dict[Path, str]) -> t
     kinds = [field.kind for field in field_types_at(target.path, view.data) if isinstance(field, FilePath)]
     if target.is_key or not (kinds or target.path[-1:] in (("include",), ("extends",))):
         return None
-    library = (
-        shipped.SCENARIOS
-        if target.path[-1:] == ("extends",)
-        else shipped.ROBOTS
-        if "robot file" in kinds
-        else None
-    )
+    if target.path[-1:] == ("extends",):
+        library = shipped.SCENARIOS
+    elif "robot file" in kinds:
+        library = shipped.ROBOTS
+    else:
+        library = None
     path = _located(view, target.text, library)
     return types.Location(open_uris.get(path) or uri_of(path), _START) if path is not None else None
 
@@ -644,13 +643,11 @@ def _interval(interval: Interval, dimension: str) -> str:
         return f"{interval.low:.6g}{unit}"
     if not interval.is_finite:
         low, high = interval.low > -float("inf"), interval.high < float("inf")
-        return (
-            f"at least {interval.low:.6g}{unit}"
-            if low
-            else f"at most {interval.high:.6g}{unit}"
-            if high
-            else ""
-        )
+        if low:
+            return f"at least {interval.low:.6g}{unit}"
+        if high:
+            return f"at most {interval.high:.6g}{unit}"
+        return ""
     return f"from {interval.low:.6g} to {interval.high:.6g}{unit}"
 
 

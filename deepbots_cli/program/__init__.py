@@ -211,13 +211,11 @@ class Program:
         """
         if case is not None and stage is not None:
             raise UsageError("a case and a stage cannot be combined")
-        return (
-            self.case(case).program
-            if case is not None
-            else self.stage(stage).program
-            if stage is not None
-            else self
-        )
+        if case is not None:
+            return self.case(case).program
+        if stage is not None:
+            return self.stage(stage).program
+        return self
 
     def script(self, name: str) -> Script:
         """The script with that name."""

@@ -81,7 +81,9 @@ def action_names(action: Sequence[ActionPart]) -> tuple[str, ...]:
             [option.name for option in part.options] if isinstance(part, Choices) else list(part.components)
         )
         alone = len(action) == 1 or not inner
-        names += [part.name] if not inner else inner if alone else [f"{part.name}_{name}" for name in inner]
+        if inner and not alone:
+            inner = [f"{part.name}_{name}" for name in inner]
+        names += inner or [part.name]
     return (
         tuple(names)
         if len(set(names)) == len(names)

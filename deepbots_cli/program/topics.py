@@ -46,7 +46,12 @@ def reading_fields(program: Program) -> list[Field]:
             if not isinstance(leaf, EngineRead) or function is None:
                 continue
             joint = joints.get(leaf.subjects[0])
-            shared = NUMBER if joint is None else LENGTH if joint.type == "prismatic" else ANGLE
+            if joint is None:
+                shared = NUMBER
+            elif joint.type == "prismatic":
+                shared = LENGTH
+            else:
+                shared = ANGLE
             components = _VECTORS.get(leaf.function, ())
             name = f"{leaf.function}({', '.join(roots.get(subject, subject) for subject in leaf.subjects)})"
             unit = "1" if function.boolean else str(function.result(shared))

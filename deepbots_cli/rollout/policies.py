@@ -181,9 +181,12 @@ class PolicyDriver(Driver):
         batch: BatchSupervisor | None = None,
     ) -> None:
         self._policy, self._world, self._deterministic = policy, world, deterministic
-        self._size = (
-            batch.count if batch else len(world.get_wrapper_attr("agents")) if has_copies(world) else 0
-        )
+        if batch:
+            self._size = batch.count
+        elif has_copies(world):
+            self._size = len(world.get_wrapper_attr("agents"))
+        else:
+            self._size = 0
         self._takes_masks = policy.takes_masks and world.has_wrapper_attr("action_masks")
         self._masks = batch.action_masks if batch else lambda: world.get_wrapper_attr("action_masks")()
         self._forward: ForwardPass | None = None

@@ -98,13 +98,12 @@ class FieldCodec:
                     numbers.append(value)
             return message_codec.encode(*numbers)
 
-        self.encode = (
-            flattened
-            if all(vectors)
-            else mixed
-            if any(vectors)
-            else lambda message: message_codec.encode(*message)
-        )
+        if all(vectors):
+            self.encode = flattened
+        elif any(vectors):
+            self.encode = mixed
+        else:
+            self.encode = lambda message: message_codec.encode(*message)
         self.silence = message_codec.encode(*zero_values(layout))
 
     def decode(self, message: Any) -> Sequence[Any]:

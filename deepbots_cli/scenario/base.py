@@ -577,26 +577,23 @@ def default_of(section: type[Section], key: str) -> str:
     value = info.default
     if info.is_required() or info.default_factory or value is None or value in ("", (), {}):
         return ""
-    return (
-        str(value).lower()
-        if isinstance(value, bool)
-        else str(list(value))
-        if isinstance(value, tuple)
-        else str(value)
-    )
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return str(list(value))
+    return str(value)
 
 
 def hover_text(section: type[Section], key: str) -> str:
     """A key in Markdown: its type, sentence, unit, default and example."""
     shape = section_fields(section)[key]
     unit = unit_of(shape)
-    shown = (
-        "none, a plain number"
-        if unit == "1"
-        else unit
-        if unit.startswith("of the ")
-        else f"`{unit.replace(' or ', '` or `')}`"
-    )
+    if unit == "1":
+        shown = "none, a plain number"
+    elif unit.startswith("of the "):
+        shown = unit
+    else:
+        shown = f"`{unit.replace(' or ', '` or `')}`"
     facts = [f"**Unit:** {shown}"] if unit else []
     if section.model_fields[key].is_required():
         facts.append("**Required**")

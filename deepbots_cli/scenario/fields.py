@@ -132,7 +132,12 @@ _SCALAR_RANGE = rf"\s*({_NUMBER})\s*\.\.\s*({_NUMBER})((?:\s*[A-Za-z%][\w*/^%]*)
 def _range_replacement(value: object) -> str | None:
     """The range that is meant by two numbers in a list or with another sign between them, or by a range for
     each component."""
-    given = list(value.values()) if isinstance(value, Mapping) else value if isinstance(value, list) else []
+    if isinstance(value, Mapping):
+        given = list(value.values())
+    elif isinstance(value, list):
+        given = value
+    else:
+        given = []
     parts = [re.fullmatch(_SCALAR_RANGE, part) if isinstance(part, str) else None for part in given]
     if ranges := [part for part in parts if part and part[3] == (parts[0] or part)[3]]:
         lows, highs = " ".join(part[1] for part in ranges), " ".join(part[2] for part in ranges)
@@ -930,13 +935,11 @@ _SCHEDULE = rf"\s*({_NUMBER})\s*->\s*({_NUMBER})\s*"
 def read_fraction(value: str | float) -> float:
     """The number that `0.8` or `80 %` is. Divided, since 57 * 0.01 is not 0.57."""
     percent = re.fullmatch(_PERCENT, value) if isinstance(value, str) else None
-    return (
-        float(percent[1].rstrip("%").rstrip()) / 100
-        if percent
-        else float(value)
-        if isinstance(value, str)
-        else value
-    )
+    if percent:
+        return float(percent[1].rstrip("%").rstrip()) / 100
+    if isinstance(value, str):
+        return float(value)
+    return value
 
 
 def read_schedule(value: object) -> tuple[float, float] | None:

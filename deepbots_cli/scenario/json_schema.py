@@ -419,13 +419,10 @@ def _text(section: type[Section], key: str, example: str = "") -> str:
     """The sentence about a key, its unit, default and example; `example` overrides the example of the key."""
     unit, default = unit_of(section_fields(section)[key]), default_of(section, key)
     facts = [f"Unit: {'none, a plain number' if unit == '1' else unit}."] if unit else []
-    facts += (
-        ["Required."]
-        if section.model_fields[key].is_required()
-        else [f"Default: {default}."]
-        if default
-        else []
-    )
+    if section.model_fields[key].is_required():
+        facts.append("Required.")
+    elif default:
+        facts.append(f"Default: {default}.")
     shown = example or example_text(section, key)
     return "\n\n".join(
         [key_description(section, key), " ".join([*facts, *([f"Example: {key}: {shown}"] if shown else [])])]

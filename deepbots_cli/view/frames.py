@@ -195,10 +195,9 @@ class WorldFrame:
         """How the episode ended, in words; empty while it goes on."""
         if self.ended_by is None:
             return ""
-        return (
-            f"{'success' if self.is_success else 'time limit' if self.truncated else 'failure'}:"
-            f" {self.ended_by}"
-        )
+        if self.is_success:
+            return f"success: {self.ended_by}"
+        return f"{'time limit' if self.truncated else 'failure'}: {self.ended_by}"
 
 
 def observation_fields(program: Program, units: ShownUnits) -> tuple[PlottedField, ...]:

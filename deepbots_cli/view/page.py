@@ -830,11 +830,10 @@ class Page:
             " (paused)" if self.paused else ""
         )
         state = f"{self._title(number)}: {state}" if self._compare else state
-        color = (
-            ("#009E73" if frame.is_success else "#E69F00" if frame.truncated else "#D55E00")
-            if frame.ended_by
-            else "#0072B2"
-        )
+        color = "#0072B2"
+        if frame.ended_by:
+            unsuccessful = "#E69F00" if frame.truncated else "#D55E00"
+            color = "#009E73" if frame.is_success else unsuccessful
         total = "" if player.reader.layout.of_robot else f", return {agent.episode_return:.2f}"
         numbers = f"episode {self.episode + player.world}, step {frame.step}, {frame.time:.2f} s{total}"
         note = f"<br>{html.escape(player.note)}" if player.note else ""

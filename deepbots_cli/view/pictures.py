@@ -134,7 +134,12 @@ def render_picture(
 
     shown = PaintedPath.of(player, path) if path else None
     usual = overview(player.program, shot.width, shot.height)
-    usual = shown.view(player.env.world, shot) if shown else _on_robots(player, shot) if labels else usual
+    if shown:
+        usual = shown.view(player.env.world, shot)
+    elif labels:
+        usual = _on_robots(player, shot)
+    else:
+        usual = usual
     view = replace(
         shot.now(player, usual),
         width=_SUPERSAMPLING * shot.width,

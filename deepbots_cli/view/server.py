@@ -115,7 +115,12 @@ def serve(
     with _guarded(host, token, on_drive), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
         server = viser.ViserServer(host, number, label=label, verbose=False)
     _check_updates(server)
-    shown = socket.gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+    if host in ("0.0.0.0", "::"):
+        shown = socket.gethostname()
+    elif ":" in host:
+        shown = f"[{host}]"
+    else:
+        shown = host
     return server, f"http://{shown}:{server.get_port()}/" + (f"?token={token}" if token else "")
 
 

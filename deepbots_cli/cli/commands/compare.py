@@ -111,9 +111,12 @@ _BETTER = {
 
 def _lines(comparison: Comparison) -> Iterator[str]:
     own = any(entry.own_scenarios for entry in comparison.differences)
-    where = (
-        f"{comparison.scenario}: " if comparison.scenario else "each run in its own scenario: " if own else ""
-    )
+    if comparison.scenario:
+        where = f"{comparison.scenario}: "
+    elif own:
+        where = "each run in its own scenario: "
+    else:
+        where = ""
     yield (
         f"{where}{comparison.episodes:,} held-out episode{'' if comparison.episodes == 1 else 's'} of each"
         f" run, from seed {comparison.seed}"

@@ -413,13 +413,12 @@ def _lines(kind: str, files: Sequence[Path], rows: Sequence[Row]) -> Iterator[st
     for file, row in zip(files, rows, strict=False):
         size = f"{file.stat().st_size / 1000:,.0f} kB"
         end = f"{row['ending'] or 'not ended'} after {row['time_s']:.2f} s, return {row['return']:.2f}"
-        yield (
-            str(file)
-            if kind == PICTURE
-            else f"{file} ({size})"
-            if kind == RECORDING_SUFFIX
-            else f"{file} ({size}; {end})"
-        )
+        if kind == PICTURE:
+            yield str(file)
+        elif kind == RECORDING_SUFFIX:
+            yield f"{file} ({size})"
+        else:
+            yield f"{file} ({size}; {end})"
 
 
 def _draw_robot(reference: str, file: Path, shot: Viewpoint, engine: str, permissions: Permissions) -> None:

@@ -399,7 +399,12 @@ def _drive_wheels(draft: Draft, commands: Mapping[str, str], otherwise: str) -> 
     sides: dict[tuple[str, bool], list[Wheel]] = {}
     for wheel in build.wheels:
         offset = frames.dot(wheel.center, left) - middle
-        side = "middle" if abs(offset) < 0.1 * wheel.radius else "left" if offset > 0 else "right"
+        if abs(offset) < 0.1 * wheel.radius:
+            side = "middle"
+        elif offset > 0:
+            side = "left"
+        else:
+            side = "right"
         side = side if commands and not build.steering else "driven"
         sides.setdefault((side, frames.dot(wheel.axle, left) < 0), []).append(wheel)
     for (side, mirrored), wheels in sides.items():
@@ -520,7 +525,9 @@ def _upright(build: Build) -> tuple[float, float]:
     x, y = (sum(leg[axis] / (hypot(*leg) or 1.0) for leg in legs) / len(legs) for axis in (0, 1))
     if abs(y) > 0.8:
         return (90.0 if y < 0 else -90.0), 0.0
-    return 0.0, (0.0 if abs(x) <= 0.8 else 90.0 if x > 0 else -90.0)
+    if abs(x) <= 0.8:
+        return 0.0, 0.0
+    return 0.0, 90.0 if x > 0 else -90.0
 
 
 def _standing(build: Build, limb: Limb, down: Triple) -> dict[str, float]:

@@ -132,7 +132,12 @@ def neutral(joint: Joint, margin: float = 0.0) -> float:
 
 def _bent(joint: Joint, number: int) -> float:
     low, high = range_of(joint)
-    bend = 0.0 if number == 0 else _INITIAL_BEND if number % 2 else -_INITIAL_BEND
+    if number == 0:
+        bend = 0.0
+    elif number % 2:
+        bend = _INITIAL_BEND
+    else:
+        bend = -_INITIAL_BEND
     return (low + high) / 2 if joint.type == "prismatic" else _clamped(joint, neutral(joint) + bend)
 
 

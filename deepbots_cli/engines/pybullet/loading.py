@@ -127,13 +127,12 @@ def bodies(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
 
 
 def _loaded(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
-    floor = (
-        _terrain(client, world.terrain)
-        if world.terrain is not None
-        else _plane(client, world.ground)
-        if world.ground
-        else None
-    )
+    if world.terrain is not None:
+        floor = _terrain(client, world.terrain)
+    elif world.ground:
+        floor = _plane(client, world.ground)
+    else:
+        floor = None
     if floor is not None:
         _make_contact(client, floor)
         yield Pool(GROUND, [(GROUND, floor)], pooled=False)

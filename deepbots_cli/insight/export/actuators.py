@@ -43,11 +43,7 @@ def output(program: Program, robot: Robot, command: Command) -> Output:
         actuator=command.name,
         kind=kind,
         joints=tuple(joint.name for joint in joints),
-        links=actuator.links
-        if isinstance(actuator, Thrust)
-        else (actuator.link,)
-        if isinstance(actuator, Cartesian)
-        else (),
+        links=_links(actuator),
         shape=(count,),
         dtype="float64",
         components=tuple(command.components),
@@ -63,14 +59,18 @@ def output(program: Program, robot: Robot, command: Command) -> Output:
     )
 
 
+def _links(actuator: Actuator) -> tuple[str, ...]:
+    if isinstance(actuator, Thrust):
+        return actuator.links
+    return (actuator.link,) if isinstance(actuator, Cartesian) else ()
+
+
 def _kind(actuator: Actuator) -> str:
-    return (
-        "thrust"
-        if isinstance(actuator, Thrust)
-        else "cartesian"
-        if isinstance(actuator, Cartesian)
-        else getattr(actuator, "kind", "")
-    )
+    if isinstance(actuator, Thrust):
+        return "thrust"
+    if isinstance(actuator, Cartesian):
+        return "cartesian"
+    return getattr(actuator, "kind", "")
 
 
 def _unit(command: Command, kind: str, joints: Sequence[Joint]) -> str:

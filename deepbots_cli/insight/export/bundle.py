@@ -201,13 +201,12 @@ def _places(info: BundleInfo) -> dict[str, str]:
             part = parts(ros_place.type)[
                 part_of(field, Topic(ros_place.topic, ros_place.type, ros_place.part))
             ]
-            of = (
-                f"of {', '.join(field.joints)}, by `name`"
-                if part.by_joint
-                else "in the order of the table"
-                if part.count is None
-                else ""
-            )
+            if part.by_joint:
+                of = f"of {', '.join(field.joints)}, by `name`"
+            elif part.count is None:
+                of = "in the order of the table"
+            else:
+                of = ""
             places[entry.name] = f"`{part.path}` {of}".strip()
     return places
 

@@ -171,13 +171,11 @@ def _term_name(entry: Observation, robot: Robot, motor: Motor, offset: Sequence[
         *sensor.components
     ] or sensor.kind not in _TERMS:
         return own
-    return (
-        _of_joints(sensor, shifts, motor, offset, own)
-        if sensor.kind.startswith("joint")
-        else own
-        if any(shifts)
-        else _TERMS[sensor.kind]
-    )
+    if sensor.kind.startswith("joint"):
+        return _of_joints(sensor, shifts, motor, offset, own)
+    if any(shifts):
+        return own
+    return _TERMS[sensor.kind]
 
 
 def _of_joints(

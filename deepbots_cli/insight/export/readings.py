@@ -57,6 +57,8 @@ class Readings:
         of_joints = issubclass(kind, JointSensor)
         name = f"{robot.name}.{sensor.name}"
         world = kind.world_function in _VECTORS
+        number_type = "bool" if kind.boolean else "float64"
+        own_frame = sensor.subjects[0] if sensor.components == SPACE and not of_joints else None
         info = self._input(
             name,
             robot=robot.name,
@@ -66,14 +68,10 @@ class Readings:
             link=None if of_joints else sensor.subjects[0],
             mount=Mount(xyz=sensor.mount.xyz, rpy=sensor.mount.rpy) if sensor.mount != Pose() else None,
             shape=sensor.optics.shape if sensor.optics else (len(sensor.components) or 1,),
-            dtype="uint8" if sensor.optics else "bool" if kind.boolean else "float64",
+            dtype="uint8" if sensor.optics else number_type,
             components=sensor.components,
             unit=unit_text(sensor.unit),
-            frame="world"
-            if world
-            else sensor.subjects[0]
-            if sensor.components == SPACE and not of_joints
-            else None,
+            frame="world" if world else own_frame,
             range=_sensor_range(sensor, faults, kind.interval),
             period=faults.period * self._program.world.timestep,
             latency=faults.latency,
@@ -97,7 +95,12 @@ class Readings:
         components = _VECTORS.get(read.function, ())
         function = FUNCTIONS.get(read.function)
         joint = self._deployment.joints.get(read.subjects[0])
-        shared = NUMBER if joint is None else LENGTH if joint.type == "prismatic" else ANGLE
+        if joint is None:
+            shared = NUMBER
+        elif joint.type == "prismatic":
+            shared = LENGTH
+        else:
+            shared = ANGLE
         truth = function is None or function.boolean
         name = self._deployment.name(read)
         interval = function.interval() if function is not None and read.function == "orientation" else None
