@@ -84,8 +84,12 @@ class EvaluationResult(Summary, Evaluation, frozen=True):
 
     @model_serializer(mode="wrap")
     def _with_effects(self, fields: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        data = fields(self) | ({} if self.success_defined else dict.fromkeys(SUCCESS_STATISTICS))
-        return data | {"by_drawn_value": self.by_drawn_value.as_json(success_defined=self.success_defined)}
+        hidden = () if self.success_defined else SUCCESS_STATISTICS
+        return {
+            **fields(self),
+            **dict.fromkeys(hidden),
+            "by_drawn_value": self.by_drawn_value.as_json(success_defined=self.success_defined),
+        }
 
 
 def evaluate(

@@ -100,8 +100,10 @@ class EvaluationWorlds:
         return self._singles
 
     def close(self) -> None:
-        for world in (*self._singles, *([] if self._batch is None else [self._batch])):
+        for world in self._singles:
             world.close()
+        if self._batch is not None:
+            self._batch.close()
         self._singles, self._batch, self._program = [], None, None
 
 

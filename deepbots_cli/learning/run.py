@@ -607,10 +607,8 @@ def remark_on_episodes(episodes: int, planned: int | None, required: int | None)
     return (f"fewer than {required} episodes",) if required is not None and episodes < required else ()
 
 
-class EvaluationWithEpisodes(EvaluationRecord):
+class EvaluationWithEpisodes(EvaluationRecord, frozen=True, allow_inf_nan=False):
     """An evaluation that a run keeps, with its episodes."""
-
-    model_config = ConfigDict(allow_inf_nan=False)
 
     outcomes: tuple[Episode, ...] = Field(min_length=1)
 

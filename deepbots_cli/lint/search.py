@@ -451,7 +451,7 @@ class MotionWatch:
                 for state, (low, high) in states
             )
 
-    def summary(self) -> dict[str, float]:
+    def summary(self) -> dict[str, Any]:
         """The fields of a `DrivenEpisode` about motion."""
         turns, stopped = abs(self._turned) / (2 * pi), self._stopped / max(1, self._steps)
         return {
