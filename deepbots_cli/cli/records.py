@@ -19,14 +19,14 @@ from deepbots_cli.cli.tables import Row, row_as_lines, table
 from deepbots_cli.errors import RunError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.episodes import Interval, Summary
-from deepbots_cli.learning.run import (
+from deepbots_cli.learning.records import (
     PATIENCE,
     EvaluationRecord,
-    Run,
     RunRecord,
     TrainingResult,
     in_parentheses,
 )
+from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.verdict import run_verdict
 
 if TYPE_CHECKING:

@@ -9,42 +9,39 @@ from __future__ import annotations
 
 import json
 import math
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from shlex import quote
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
-import torch
 from pydantic import BaseModel, Field, NonNegativeInt
 
 from deepbots_cli.analysis import possible_returns, unobserved_reads
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.confirmation import COST_SHARE, Confirmation
 from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.episodes import Interval, Statistics, Summary
-from deepbots_cli.learning.held_out import EvaluationWorlds, confirmation_root, evaluation_seeds, play_script
+from deepbots_cli.learning.held_out import (
+    EVALUATION_EPISODES,
+    Evaluator,
+    confirmation_root,
+    evaluation_seeds,
+    play_script,
+)
 from deepbots_cli.learning.order import SHORTLIST, Candidate, Shortlist, measure_of, most_episodes
+from deepbots_cli.learning.records import PATIENCE
 from deepbots_cli.learning.report import LINE_INTERVAL_S, Reporter, TrainingProgress
-from deepbots_cli.learning.run import PATIENCE, Run
+from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.signals import Interruption
 from deepbots_cli.learning.teacher import Plan, TeacherState, Teaching
-from deepbots_cli.program import Program
 from deepbots_cli.rollout import Episode, Start
-from deepbots_cli.rollout.collector import ShardedCollector
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.learner import Learner
     from deepbots_cli.learning.sb3.logs import TrainingLog
 
-EVALUATION_EPISODES = 20
-"""Starts of an evaluation, the same each time: two networks differ by what they do there, not by their
-luck."""
 
 CONFIRMATION_PART = 40
 """Episodes of a confirmation until it is checked whether it can still pass; a multiple of the rows of a
@@ -66,99 +63,6 @@ MET_IN_A_ROW, OFF_POLICY_MET_IN_A_ROW = 1, 2
 changes in every step: of 8 trainings of FindBall with TD3, 2 had 20 of 20 successes after 2,528 steps, and 94
 % of new starts. Such an early confirmation takes 16 times the steps of the training so far, and delays the
 next one."""
-
-
-class Interruption:
-    """Whether someone wants the training to end: Ctrl-C or SIGTERM."""
-
-    def __init__(self) -> None:
-        self.requested = False
-
-    def __call__(self, number: int, frame: FrameType | None) -> None:
-        if self.requested:
-            # Whoever asks twice does not want to wait for the end of an update.
-            raise KeyboardInterrupt
-        self.requested = True
-
-
-@contextmanager
-def signals_handled(interruption: Interruption) -> Iterator[None]:
-    """Within, the first signal only sets `requested`; the second raises KeyboardInterrupt. Restores the
-    handlers.
-
-    Python hands signals to the main thread only; elsewhere this changes nothing.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.signal(number, interruption) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
-
-
-class Evaluator:
-    """Plays held-out episodes of the current policy without noise: in a batch of worlds if engine and
-    scenario support it, otherwise in the shards of the training if it has several, otherwise in a world of
-    its own."""
-
-    def __init__(self, build: WorldFactory, seed: int, run: Run | None = None) -> None:
-        self.steps = 0
-        """Those of all evaluations, without confirmations and the last choice."""
-        self.shards: ShardedCollector | None = None
-        self.starts = evaluation_seeds(seed, range(EVALUATION_EPISODES))
-        """The starts of every evaluation."""
-        self.build = build
-        engine = "" if run is None else run.record.engine
-        self._worlds = EvaluationWorlds(build, run, engine=engine, batch=EVALUATION_EPISODES)
-
-    def evaluate(
-        self, model: Learner, scenario: Program, interruption: Interruption, stage: str | None = None
-    ) -> list[Episode]:
-        """The episodes of an evaluation; arguments and errors are those of `play`."""
-        done = self.play(model, scenario, interruption, self.starts, stage)
-        self.steps += sum(episode.length for episode in done)
-        return done
-
-    def play(
-        self,
-        model: Learner,
-        scenario: Program,
-        interruption: Interruption,
-        seeds: Sequence[int],
-        stage: str | None = None,
-        *,
-        here: bool = False,
-    ) -> list[Episode]:
-        """An episode from each seed in `scenario`, which is that of `stage`. The training's random numbers
-        stay as they were.
-
-        Args:
-            here: Whether to leave out the shards, such as for another model than that of the training.
-
-        Raises:
-            KeyboardInterrupt: Somebody wants the training to end; it goes on from its last checkpoint, before
-                this evaluation. Shards complete their part first.
-        """
-        state = torch.get_rng_state()
-
-        def look(done: int = 0, of: int = len(seeds)) -> None:
-            if interruption.requested:
-                raise KeyboardInterrupt
-
-        look()
-        self._worlds.enter(scenario, stage=stage)
-        try:
-            if self.shards is not None and not here and not self._worlds.has_batch_for(len(seeds)):
-                return self.shards.evaluate(model.actor(), seeds, stage)
-            return self._worlds.play(model, seeds, on_episode=look)
-        finally:
-            torch.set_rng_state(state)
-
-    def close(self) -> None:
-        self._worlds.close()
 
 
 OnEvaluation = Callable[[Path], str | None]

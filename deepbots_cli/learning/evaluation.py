@@ -28,7 +28,8 @@ from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, UNBOUNDED, Summar
 from deepbots_cli.learning.executor import SERIAL, UNWATCHED, Attempt, Executor, Watcher, results
 from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.learner import Learner, Setup
-from deepbots_cli.learning.run import Evaluation, ModelName, ModelRef, Run, in_parentheses, remark_on_episodes
+from deepbots_cli.learning.records import Evaluation, in_parentheses, remark_on_episodes
+from deepbots_cli.learning.run import ModelName, ModelRef, Run
 from deepbots_cli.learning.sb3.algorithms import torch_settings
 from deepbots_cli.learning.statistics import ALPHA
 from deepbots_cli.learning.verdict import quoted_episodes, solved_verdict

@@ -1,25 +1,36 @@
-"""Held-out episodes: the worlds that play them, and their starts during a training."""
+"""Held-out episodes: the worlds that play them, and those of a training: their starts and who plays them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import closing, suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
+import torch
 
 from deepbots_cli.api import build_batch
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.signals import Interruption
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Episode, Start, play
+from deepbots_cli.rollout.collector import ShardedCollector
 from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.rollout.episode import OnEpisode
 from deepbots_cli.rollout.policies import Predictor, StopCondition, in_order, play_batch, play_episodes
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
+
+if TYPE_CHECKING:
+    from deepbots_cli.learning.learner import Learner
+
+
+EVALUATION_EPISODES = 20
+"""Starts of an evaluation, the same each time: two networks differ by what they do there, not by their
+luck."""
 
 
 class EvaluationWorlds:
@@ -123,3 +134,65 @@ def confirmation_root(seed: int, number: int) -> int:
     """The root seed of the starts of a confirmation, by its number from 1: six digits, which are easy to
     repeat."""
     return 100_000 + derive_seed(seed, "confirmation", number) % 900_000
+
+
+class Evaluator:
+    """Plays held-out episodes of the current policy without noise: in a batch of worlds if engine and
+    scenario support it, otherwise in the shards of the training if it has several, otherwise in a world of
+    its own."""
+
+    def __init__(self, build: WorldFactory, seed: int, run: Run | None = None) -> None:
+        self.steps = 0
+        """Those of all evaluations, without confirmations and the last choice."""
+        self.shards: ShardedCollector | None = None
+        self.starts = evaluation_seeds(seed, range(EVALUATION_EPISODES))
+        """The starts of every evaluation."""
+        self.build = build
+        engine = "" if run is None else run.record.engine
+        self._worlds = EvaluationWorlds(build, run, engine=engine, batch=EVALUATION_EPISODES)
+
+    def evaluate(
+        self, model: Learner, scenario: Program, interruption: Interruption, stage: str | None = None
+    ) -> list[Episode]:
+        """The episodes of an evaluation; arguments and errors are those of `play`."""
+        done = self.play(model, scenario, interruption, self.starts, stage)
+        self.steps += sum(episode.length for episode in done)
+        return done
+
+    def play(
+        self,
+        model: Learner,
+        scenario: Program,
+        interruption: Interruption,
+        seeds: Sequence[int],
+        stage: str | None = None,
+        *,
+        here: bool = False,
+    ) -> list[Episode]:
+        """An episode from each seed in `scenario`, which is that of `stage`. The training's random numbers
+        stay as they were.
+
+        Args:
+            here: Whether to leave out the shards, such as for another model than that of the training.
+
+        Raises:
+            KeyboardInterrupt: Somebody wants the training to end; it goes on from its last checkpoint, before
+                this evaluation. Shards complete their part first.
+        """
+        state = torch.get_rng_state()
+
+        def look(done: int = 0, of: int = len(seeds)) -> None:
+            if interruption.requested:
+                raise KeyboardInterrupt
+
+        look()
+        self._worlds.enter(scenario, stage=stage)
+        try:
+            if self.shards is not None and not here and not self._worlds.has_batch_for(len(seeds)):
+                return self.shards.evaluate(model.actor(), seeds, stage)
+            return self._worlds.play(model, seeds, on_episode=look)
+        finally:
+            torch.set_rng_state(state)
+
+    def close(self) -> None:
+        self._worlds.close()

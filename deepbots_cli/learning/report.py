@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from deepbots_cli.learning.executor import Watcher
 from deepbots_cli.learning.order import Candidate, Measure
-from deepbots_cli.learning.run import TrainingResult
+from deepbots_cli.learning.records import TrainingResult
 from deepbots_cli.program.task import Solved
 
 if TYPE_CHECKING:

@@ -11,9 +11,11 @@ import stand_in
 
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import evaluate, train
+from deepbots_cli.learning.directories import run_lock
 from deepbots_cli.learning.keeping import keep, kept_models
 from deepbots_cli.learning.learner import steps_of
-from deepbots_cli.learning.run import ModelRef, Run, RunRecord, run_lock
+from deepbots_cli.learning.records import RunRecord
+from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Training

@@ -37,7 +37,8 @@ from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import check_output
 from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.run import ModelRef, Run, in_parentheses
+from deepbots_cli.learning.records import in_parentheses
+from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.program.identity import task_digest
 from deepbots_cli.rollout.source import Source, SourceKind
 
