@@ -110,13 +110,6 @@ def with_interval(
     )
 
 
-def success_or_return(result: EvaluationResult) -> str:
-    """The success rate with its interval; where the scenario defines no success, the mean return."""
-    if result.success_defined:
-        return f"success rate {with_interval(result.success_rate, result.success_interval, percent)}"
-    return f"mean return {with_interval(result.mean_return, result.return_interval)}"
-
-
 def _statistics(result: Summary, *, success_defined: bool) -> Row:
     remark = "; all returns are equal" if result.std_return == 0 else ""
     return {
