@@ -21,9 +21,8 @@ from deepbots_cli.learning import (
     resume,
     train,
 )
-from deepbots_cli.learning.callbacks import confirmation_root, evaluation_seeds
 from deepbots_cli.learning.confirmation import COST_SHARE
-from deepbots_cli.learning.held_out import EVALUATION_EPISODES, Evaluator
+from deepbots_cli.learning.held_out import EVALUATION_EPISODES, Evaluator, confirmation_root, evaluation_seeds
 from deepbots_cli.learning.records import PATIENCE, RunRecord
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.run import Run
