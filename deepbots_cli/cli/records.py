@@ -19,15 +19,14 @@ from deepbots_cli.cli.tables import Row, row_as_lines, table
 from deepbots_cli.errors import RunError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.episodes import Interval, Summary
-from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import (
+from deepbots_cli.learning.records import (
     PATIENCE,
     EvaluationRecord,
-    Run,
     RunRecord,
     TrainingResult,
     in_parentheses,
 )
+from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.verdict import run_verdict
 
 if TYPE_CHECKING:
@@ -109,13 +108,6 @@ def with_interval(
     return form(value) + (
         "" if interval is None else f" (95 %: {form(interval[0])} .. {form(interval[1])}{remark})"
     )
-
-
-def success_or_return(result: EvaluationResult) -> str:
-    """The success rate with its interval; where the scenario defines no success, the mean return."""
-    if result.success_defined:
-        return f"success rate {with_interval(result.success_rate, result.success_interval, percent)}"
-    return f"mean return {with_interval(result.mean_return, result.return_interval)}"
 
 
 def _statistics(result: Summary, *, success_defined: bool) -> Row:
@@ -241,7 +233,7 @@ def evaluation_text(
 
 def evaluation_json(result: EvaluationResult, cases: Sequence[EvaluationResult] = ()) -> dict[str, Any]:
     """An evaluation and its cases as a dictionary."""
-    return {**to_json(result), "cases": list(map(to_json, cases))}
+    return result.model_dump(mode="json") | {"cases": [case.model_dump(mode="json") for case in cases]}
 
 
 def kept_text(kept: KeptModel) -> str:
@@ -268,8 +260,8 @@ def kept_text(kept: KeptModel) -> str:
 
 def kept_json(kept: KeptModel) -> dict[str, Any]:
     """The same as a dictionary."""
-    played = [{"name": each.name, **each.result.model_dump()} for each in kept.played]
-    return {"model": kept.name, "best": kept.best.model_dump(), "earlier": kept.earlier, "played": played}
+    played = [{"name": each.name, **vars(each.result)} for each in kept.played]
+    return {"model": kept.name, "best": kept.best, "earlier": kept.earlier, "played": played}
 
 
 def summary_text(summary: Summary, *, success_defined: bool) -> str:
@@ -395,11 +387,7 @@ def group_json(group: GroupResult) -> dict[str, Any]:
         ["success_rate", "success_interval", "success_interval_over_starts"] if group.success_defined else []
     )
     data = {name: getattr(group, name) for name in names}
-    return {
-        **data,
-        "solved": list(map(solved_by, group.evaluations)),
-        "runs": [to_json(result) for result in group.evaluations],
-    }
+    return {**data, "solved": list(map(solved_by, group.evaluations)), "runs": group.evaluations}
 
 
 def robustness_text(found: Robustness) -> str:
@@ -488,25 +476,17 @@ def _episodes(result: EvaluationResult) -> list[tuple[float, int]]:
 def robustness_json(found: Robustness) -> dict[str, Any]:
     """The same as a dictionary, with every evaluation."""
     conditions = [
-        {
-            "name": condition.name,
-            "skipped": condition.skipped,
-            "sides": [_side_json(side) for side in condition.sides],
-        }
-        for condition in found.conditions
+        vars(condition) | {"sides": list(map(_side_json, condition.sides))} for condition in found.conditions
     ]
-    fields = {
-        name: getattr(found, name)
-        for name in ("run", "scenario", "metric", "bar", "bar_source", "nominal_holds", "nominal_certain")
-    }
-    return {**fields, "nominal": to_json(found.nominal), "conditions": conditions}
+    certain = {"nominal_holds": found.nominal_holds, "nominal_certain": found.nominal_certain}
+    return vars(found) | certain | {"conditions": conditions}
 
 
 def _side_json(side: Side) -> dict[str, Any]:
-    fields = {name: getattr(side, name) for name in ("name", "verdict", "holds_up_to", "fails_from")}
-    return {
-        **fields,
-        "levels": [{**vars(level), "evaluation": to_json(level.evaluation)} for level in side.levels],
+    return vars(side) | {
+        "verdict": side.verdict,
+        "holds_up_to": side.holds_up_to,
+        "fails_from": side.fails_from,
     }
 
 

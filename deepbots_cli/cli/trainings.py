@@ -20,7 +20,8 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning import report
 from deepbots_cli.learning.decline import decline_of
 from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.run import Run, RunRecord
+from deepbots_cli.learning.records import RunRecord
+from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.verdict import run_verdict
 
 if TYPE_CHECKING:

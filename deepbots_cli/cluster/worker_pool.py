@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, NoReturn, Protocol
 import deepbots_cli
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning.executor import Attempt
-from deepbots_cli.learning.run import versions
+from deepbots_cli.learning.records import versions
 
 MAX_LOSSES = 3
 """Workers that may be lost in one fragment of a shard, or in one call."""

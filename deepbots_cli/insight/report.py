@@ -36,16 +36,12 @@ from deepbots_cli.insight.diagnosis import causes_after
 from deepbots_cli.insight.linted import LintedScenario, linted_scenario
 from deepbots_cli.insight.statements import Statement
 from deepbots_cli.insight.templates import render_template
+from deepbots_cli.learning.directories import is_training
 from deepbots_cli.learning.draws import by_drawn_value, draw_labels
 from deepbots_cli.learning.episodes import UNBOUNDED
 from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.run import (
-    DEMONSTRATIONS_NAME,
-    EvaluationWithEpisodes,
-    Run,
-    in_parentheses,
-    is_training,
-)
+from deepbots_cli.learning.records import EvaluationWithEpisodes, in_parentheses
+from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, Run
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.rollout import Episode

@@ -29,9 +29,11 @@ from deepbots_cli.insight.statements import EvaluationRate
 from deepbots_cli.insight.trace import Array, Trace, TraceRecorder, trace_episodes
 from deepbots_cli.learning import failures
 from deepbots_cli.learning.decline import Decline, decline
+from deepbots_cli.learning.directories import is_training
 from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.order import measure_of
-from deepbots_cli.learning.run import Run, changed_settings, is_training
+from deepbots_cli.learning.records import changed_settings
+from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program import CurriculumStage, Program

@@ -9,48 +9,39 @@ from __future__ import annotations
 
 import json
 import math
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from shlex import quote
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
-import torch
 from pydantic import BaseModel, Field, NonNegativeInt
 
 from deepbots_cli.analysis import possible_returns, unobserved_reads
-from deepbots_cli.api import build_batch
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.confirmation import COST_SHARE, Confirmation
 from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch
 from deepbots_cli.learning.episodes import Interval, Statistics, Summary
-from deepbots_cli.learning.failures import FailureRecorder
+from deepbots_cli.learning.held_out import (
+    EVALUATION_EPISODES,
+    Evaluator,
+    confirmation_root,
+    evaluation_seeds,
+    play_script,
+)
 from deepbots_cli.learning.order import SHORTLIST, Candidate, Shortlist, measure_of, most_episodes
+from deepbots_cli.learning.records import PATIENCE
 from deepbots_cli.learning.report import LINE_INTERVAL_S, Reporter, TrainingProgress
-from deepbots_cli.learning.run import PATIENCE, Run
+from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.signals import Interruption
 from deepbots_cli.learning.teacher import Plan, TeacherState, Teaching
-from deepbots_cli.program import Program
-from deepbots_cli.rollout import Episode, Start, play
-from deepbots_cli.rollout.collector import ShardedCollector
-from deepbots_cli.rollout.drivers import named_driver
-from deepbots_cli.rollout.episode import OnEpisode
-from deepbots_cli.rollout.policies import Predictor, play_batch, play_episodes
-from deepbots_cli.runtime.batch import BatchSupervisor
-from deepbots_cli.runtime.streams import derive_seed
+from deepbots_cli.rollout import Episode, Start
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.learner import Learner
     from deepbots_cli.learning.sb3.logs import TrainingLog
 
-EVALUATION_EPISODES = 20
-"""Starts of an evaluation, the same each time: two networks differ by what they do there, not by their
-luck."""
 
 CONFIRMATION_PART = 40
 """Episodes of a confirmation until it is checked whether it can still pass; a multiple of the rows of a
@@ -72,173 +63,6 @@ MET_IN_A_ROW, OFF_POLICY_MET_IN_A_ROW = 1, 2
 changes in every step: of 8 trainings of FindBall with TD3, 2 had 20 of 20 successes after 2,528 steps, and 94
 % of new starts. Such an early confirmation takes 16 times the steps of the training so far, and delays the
 next one."""
-
-
-class Interruption:
-    """Whether someone wants the training to end: Ctrl-C or SIGTERM."""
-
-    def __init__(self) -> None:
-        self.requested = False
-
-    def __call__(self, number: int, frame: FrameType | None) -> None:
-        if self.requested:
-            # Whoever asks twice does not want to wait for the end of an update.
-            raise KeyboardInterrupt
-        self.requested = True
-
-
-@contextmanager
-def signals_handled(interruption: Interruption) -> Iterator[None]:
-    """Within, the first signal only sets `requested`; the second raises KeyboardInterrupt. Restores the
-    handlers.
-
-    Python hands signals to the main thread only; elsewhere this changes nothing.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.signal(number, interruption) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
-
-
-class EvaluationWorld:
-    """A world for the evaluations during a training."""
-
-    def __init__(self, build: WorldFactory, run: Run | None = None) -> None:
-        self._build, self._run = build, run
-        self._scenario: Program | None = None
-        self._world: FailureRecorder | None = None
-
-    def play(
-        self,
-        policy: Predictor,
-        scenario: Program,
-        seeds: Sequence[int],
-        stage: str | None,
-        numbers: Sequence[int] | None = None,
-        on_episode: OnEpisode | None = None,
-    ) -> list[Episode]:
-        """An episode from each seed in `scenario`, which is that of `stage`, or only the episodes with these
-        `numbers`."""
-        if self._world is None or scenario is not self._scenario:
-            self.close()
-            self._world = FailureRecorder(self._build(scenario), self._run, scenario, stage=stage)
-            self._scenario = scenario
-        self._world.seeds = seeds
-        return play_episodes(
-            policy,
-            [self._world],
-            seeds,
-            deterministic=True,
-            numbers=numbers,
-            on_episode=on_episode,
-        )
-
-    def play_script(self, name: str, scenario: Program, seeds: Sequence[int]) -> list[Episode]:
-        """The episodes of a script from these seeds."""
-        with closing(self._build(scenario)) as world:
-            return [play(world, named_driver(world, name), Start(seed)) for seed in seeds]
-
-    def close(self) -> None:
-        if self._world is not None:
-            self._world.close()
-        self._world = None
-
-
-def evaluation_seeds(seed: int, numbers: range) -> list[int]:
-    """The starts of evaluations during a training with the root seed `seed`, which neither the training nor a
-    later evaluation has. Each evaluation has the first `EVALUATION_EPISODES` of them."""
-    return [derive_seed(seed, "trial", number) for number in numbers]
-
-
-def confirmation_root(seed: int, number: int) -> int:
-    """The root seed of the starts of a confirmation, by its number from 1: six digits, which are easy to
-    repeat."""
-    return 100_000 + derive_seed(seed, "confirmation", number) % 900_000
-
-
-class Evaluator:
-    """Plays held-out episodes of the current policy without noise: in a batch of worlds if engine and
-    scenario support it, otherwise in the shards of the training if it has several, otherwise in a world of
-    its own."""
-
-    def __init__(self, build: WorldFactory, seed: int, run: Run | None = None) -> None:
-        self.steps = 0
-        """Those of all evaluations, without confirmations and the last choice."""
-        self.shards: ShardedCollector | None = None
-        self.starts = evaluation_seeds(seed, range(EVALUATION_EPISODES))
-        """The starts of every evaluation."""
-        self._build = build
-        self._engine = "" if run is None else run.record.engine
-        self._world = EvaluationWorld(build, run)
-        self._scenario: Program | None = None
-        self._batch: BatchSupervisor | None = None
-
-    def evaluate(
-        self, model: Learner, scenario: Program, interruption: Interruption, stage: str | None = None
-    ) -> list[Episode]:
-        """The episodes of an evaluation; arguments and errors are those of `play`."""
-        done = self.play(model, scenario, interruption, self.starts, stage)
-        self.steps += sum(episode.length for episode in done)
-        return done
-
-    def play(
-        self,
-        model: Learner,
-        scenario: Program,
-        interruption: Interruption,
-        seeds: Sequence[int],
-        stage: str | None = None,
-        *,
-        here: bool = False,
-    ) -> list[Episode]:
-        """An episode from each seed in `scenario`, which is that of `stage`. The training's random numbers
-        stay as they were.
-
-        Args:
-            here: Whether to leave out the shards, such as for another model than that of the training.
-
-        Raises:
-            KeyboardInterrupt: Somebody wants the training to end; it goes on from its last checkpoint, before
-                this evaluation. Shards complete their part first.
-        """
-        state = torch.get_rng_state()
-
-        def look(done: int = 0, of: int = len(seeds)) -> None:
-            if interruption.requested:
-                raise KeyboardInterrupt
-
-        look()
-        if scenario is not self._scenario:
-            self.close()
-            self._scenario = scenario
-            if not reasons_against_batch(scenario, EVALUATION_EPISODES, self._engine, self._build):
-                self._batch = build_batch(scenario, EVALUATION_EPISODES, engine=self._engine)
-        try:
-            episodes = None
-            if self._batch is not None and len(seeds) >= EVALUATION_EPISODES:
-                episodes = play_batch(model, self._batch, seeds, on_episode=look)
-            if episodes is None and self.shards is not None and not here:
-                episodes = self.shards.evaluate(model.actor(), seeds, stage)
-            if episodes is None:
-                episodes = self._world.play(model, scenario, seeds, stage, on_episode=look)
-        finally:
-            torch.set_rng_state(state)
-        return episodes
-
-    def play_script(self, name: str, scenario: Program) -> list[Episode]:
-        """The episodes of a script from the starts of the evaluations."""
-        return self._world.play_script(name, scenario, self.starts)
-
-    def close(self) -> None:
-        self._world.close()
-        if self._batch is not None:
-            self._batch.close()
-        self._batch = None
 
 
 OnEvaluation = Callable[[Path], str | None]
@@ -400,7 +224,9 @@ class TrainingCallback:
             if teaching.demonstrations is not None:
                 played = list(teaching.demonstrations.episodes)
             else:
-                played = self.evaluator.play_script(teaching.teacher.script, scenario)
+                played = play_script(
+                    self.evaluator.build, scenario, teaching.teacher.script, self.evaluator.starts
+                )
                 hidden = unobserved_reads(scenario, teaching.teacher.script)
             reads = f"; the policy does not observe what it reads: {', '.join(hidden)}" if hidden else ""
             self.reporter.note(teaching.begin(stage, played, scenario.defines_success) + reads)

@@ -27,20 +27,16 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError
-from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import (
+from deepbots_cli.learning.directories import (
     WORKERS_FOLDER,
     RecordFormat,
-    Run,
-    RunRecord,
-    TrainingResult,
     has_ended,
     read_json,
-    remove_incomplete,
     run_lock,
-    timestamp,
     write_text,
 )
+from deepbots_cli.learning.records import RunRecord, TrainingResult, timestamp
+from deepbots_cli.learning.run import Run, remove_incomplete
 from deepbots_cli.learning.verdict import quoted_evaluation
 from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
 
@@ -240,4 +236,6 @@ def evaluate_once(
 
     run = Run.open(path)
     if quoted_evaluation(path, run.record) is None:
-        run.write_evaluation(to_json(evaluate(run, permissions=permissions, on_episode=on_episode)))
+        run.write_evaluation(
+            evaluate(run, permissions=permissions, on_episode=on_episode).model_dump(mode="json")
+        )

@@ -26,8 +26,9 @@ from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.learning.callbacks import MAX_CHECK_INTERVAL, CallbackState
 from deepbots_cli.learning.curriculum import CurriculumState
+from deepbots_cli.learning.directories import read_json
 from deepbots_cli.learning.episodes import StatisticsState
-from deepbots_cli.learning.run import Run, read_json
+from deepbots_cli.learning.run import Run
 
 Array = npt.NDArray[Any]
 Arrays = Mapping[str, Array]

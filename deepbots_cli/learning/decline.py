@@ -30,7 +30,7 @@ from typing import Any
 
 from deepbots_cli.learning.episodes import read_evaluations
 from deepbots_cli.learning.order import Measure
-from deepbots_cli.learning.run import RunRecord
+from deepbots_cli.learning.records import RunRecord
 
 FALSE_ALARMS = 0.01
 """The largest probability that a training whose policy stays the same is said to decline."""

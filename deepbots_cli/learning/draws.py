@@ -37,8 +37,7 @@ _QUARTERS = 0.75 * math.sqrt(12)
 value, in standard deviations of the outcome, over the coefficient of correlation."""
 
 
-@dataclass(frozen=True)
-class DrawnBin(Summary):
+class DrawnBin(Summary, frozen=True):
     """The episodes in which a drawn value lies from `low` to `high`, both included, in SI units.
 
     For a drawn word, `low` and `high` are this word.
@@ -228,11 +227,7 @@ def _parts(done: Sequence[Episode], name: str, bounds: Interval) -> tuple[DrawnB
         edges = [len(ordered) * part // BINS for part in range(BINS + 1)]
         parts = [ordered[first:end] for first, end in pairwise(edges)]
     return tuple(
-        DrawnBin(
-            **vars(Summary.of_episodes(part, bounds)),
-            low=part[0].drawn[name],
-            high=part[-1].drawn[name],
-        )
+        DrawnBin.of_episodes(part, bounds, low=part[0].drawn[name], high=part[-1].drawn[name])
         for part in parts
         if part
     )

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean, stdev
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any, Self, TextIO
 
 from pydantic import BaseModel, Field, NonNegativeInt
 
@@ -343,40 +343,52 @@ SUCCESS_STATISTICS = ("successes", "success_rate", "success_interval")
 """Fields of `Summary` that mean nothing where the scenario defines no success."""
 
 
-@dataclass(frozen=True)
-class Summary:
-    """Statistics of `episodes` episodes. Intervals are at 95 %: Student's for the mean return, Wilson's for
+class Scores(BaseModel, frozen=True):
+    """The scores of `episodes` episodes. Intervals are at 95 %: Student's for the mean return, Wilson's for
     the success rate.
 
     `std_return` is the standard deviation of the sample; it and `return_interval` are None for a single
-    episode. `interquartile_mean` is the mean of the middle half of the returns. `endings` counts endings, the
-    most frequent first; `term_means` are the reward terms per episode.
+    episode. What an older version did not write is None, and so are statistics of a success that the scenario
+    does not define.
     """
 
     episodes: int
     mean_return: float
-    std_return: float | None
+    std_return: float | None = None
     return_interval: Interval | None
+    success_rate: float | None
+    success_interval: Interval | None
+
+
+class Summary(Scores, frozen=True):
+    """All statistics of episodes.
+
+    `interquartile_mean` is the mean of the middle half of the returns. `endings` counts endings, the most
+    frequent first; `term_means` are the reward terms per episode. Without a defined success, `success_rate`
+    is 0.
+    """
+
+    success_rate: float
+    success_interval: Interval
     interquartile_mean: float
     least_return: float
     greatest_return: float
     successes: int
-    success_rate: float
-    success_interval: Interval
     mean_length: float
     endings: Mapping[str, int]
     term_means: Mapping[str, float]
 
     @classmethod
     def of_episodes(
-        cls, done: Sequence[Episode], bounds: Interval = UNBOUNDED, error: float = 0.05
-    ) -> Summary:
+        cls, done: Sequence[Episode], bounds: Interval = UNBOUNDED, error: float = 0.05, **further: Any
+    ) -> Self:
         """The summary of at least one episode.
 
         Args:
             done: The episodes.
             bounds: The possible returns.
             error: The probability that an interval misses the true value.
+            further: The fields of a subclass.
         """
         # scipy is imported here: commands that only read runs work without it.
         from deepbots_cli.learning.statistics import interquartile_mean, mean_interval, wilson
@@ -398,6 +410,7 @@ class Summary:
             mean_length=fmean(episode.length for episode in done),
             endings=dict(Counter(episode.ended_by or "unknown" for episode in done).most_common()),
             term_means={name: fmean(episode.terms.get(name, 0.0) for episode in done) for name in names},
+            **further,
         )
 
     def meets_solved(self, solved: Solved | None) -> bool:

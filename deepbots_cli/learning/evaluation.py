@@ -4,30 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator, Mapping, Sequence
-from contextlib import ExitStack, closing
-from dataclasses import dataclass, field
+from contextlib import closing
+from dataclasses import dataclass
 from itertools import chain, pairwise
 from pathlib import Path
 from shlex import quote
 from typing import Any, NamedTuple
 
 import gymnasium as gym
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from deepbots_cli import api
 from deepbots_cli.analysis import possible_returns
-from deepbots_cli.api import Compiled, build_batch
+from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import learner
 from deepbots_cli.learning.confirmation import error_level
 from deepbots_cli.learning.draws import DrawLabel, DrawnEffects, by_drawn_value, draw_labels
-from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch, supervisor_factory
-from deepbots_cli.learning.episodes import UNBOUNDED, Summary
+from deepbots_cli.learning.environments import WorldFactory, supervisor_factory
+from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, UNBOUNDED, Summary
 from deepbots_cli.learning.executor import SERIAL, UNWATCHED, Attempt, Executor, Watcher, results
-from deepbots_cli.learning.failures import FailureRecorder
+from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.learner import Learner, Setup
-from deepbots_cli.learning.run import ModelName, ModelRef, Run, in_parentheses, remark_on_episodes
+from deepbots_cli.learning.records import Evaluation, in_parentheses, remark_on_episodes
+from deepbots_cli.learning.run import ModelName, ModelRef, Run
 from deepbots_cli.learning.sb3.algorithms import torch_settings
 from deepbots_cli.learning.statistics import ALPHA
 from deepbots_cli.learning.verdict import quoted_episodes, solved_verdict
@@ -35,7 +37,7 @@ from deepbots_cli.program import identity
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import RANDOM, ZERO, named_driver
 from deepbots_cli.rollout.episode import OnEpisode
-from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE, StopCondition, play_batch, play_episodes
+from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE, StopCondition, in_order
 from deepbots_cli.rollout.source import RECORD_NAME
 from deepbots_cli.rollout.worlds import has_copies
 from deepbots_cli.runtime.spaces import action_space, observation_space
@@ -47,30 +49,14 @@ MAX_BATCH_WORLDS = 32
 early rest at the end."""
 
 
-@dataclass(frozen=True)
-class EvaluationResult(Summary):
+class EvaluationResult(Summary, Evaluation, frozen=True):
     """The result of a policy in held-out episodes: their summary, the circumstances, and the episodes
     themselves.
 
+    As JSON it has the effects of drawn values in place of `draws`, and statistics of a success that is not
+    defined are None.
+
     Attributes:
-        engine: None if `build` made the worlds.
-        case: Name of the case; None for the scenario itself. The same holds for `stage`.
-        elsewhere: Name of the scenario if it is not that of the training; `set` are the assignments of
-            `--set`, `digest` is its digest.
-        agent: Name of the agent whose return is reported.
-        model: The name of the model, such as `best` or `last`, or that of a baseline: `random`, `zero`,
-            `script NAME`.
-        model_steps: The steps of the training after which the model was saved; None for a baseline.
-        confirmation: The number of the confirmation that ended the training, if these are its episodes. The
-            intervals then cover all confirmations of the training together.
-        planned: Requested number of episodes; larger than `episodes` if a requirement stopped the evaluation
-            early.
-        circumstances: Differences from an evaluation of the best model in the scenario of the training, in
-            words.
-        success_defined: Whether the scenario defines success; if not, the success rate is 0 without a
-            meaning.
-        solved: None if the scenario has no `solved`, or if its criterion needs more episodes
-            (`required_episodes`) than were run.
         verdict: `solved` in words.
         return_bounds: Smallest and largest possible return of an episode, if deepbots can derive them from
             rewards and time limit. Confidence intervals are cut at them.
@@ -80,28 +66,11 @@ class EvaluationResult(Summary):
 
     run: Path
     scenario: str
-    engine: str | None
-    case: str | None
-    stage: str | None
-    elsewhere: str | None
-    set: tuple[str, ...]
-    digest: str
-    agent: str
-    model: str
-    model_steps: int | None
-    confirmation: int | None
-    seed: int
-    planned: int
-    required_episodes: int | None
-    deterministic: bool
-    circumstances: tuple[str, ...]
-    success_defined: bool
-    solved: bool | None
     verdict: str
     notes: tuple[str, ...]
     return_bounds: tuple[float | None, float | None]
-    outcomes: tuple[Episode, ...] = field(repr=False)
-    draws: Mapping[str, DrawLabel] = field(repr=False)
+    outcomes: tuple[Episode, ...] = Field(repr=False)
+    draws: Mapping[str, DrawLabel] = Field(repr=False, exclude=True)
 
     @property
     def possible_returns(self) -> tuple[float, float]:
@@ -110,14 +79,18 @@ class EvaluationResult(Summary):
         return -math.inf if low is None else low, math.inf if high is None else high
 
     @property
-    def remarks(self) -> tuple[str, ...]:
-        """`circumstances`, and remarks on the number of episodes."""
-        return (*self.circumstances, *remark_on_episodes(self.episodes, self.planned, self.required_episodes))
-
-    @property
     def by_drawn_value(self) -> DrawnEffects:
         """The effects of drawn values, and success and return in a few parts of the range of each."""
         return by_drawn_value(self.outcomes, self.draws, self.possible_returns)
+
+    @model_serializer(mode="wrap")
+    def _with_effects(self, fields: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        hidden = () if self.success_defined else SUCCESS_STATISTICS
+        return {
+            **fields(self),
+            **dict.fromkeys(hidden),
+            "by_drawn_value": self.by_drawn_value.as_json(success_defined=self.success_defined),
+        }
 
 
 def evaluate(
@@ -200,14 +173,10 @@ def evaluate(
     part_options |= {"permissions": permissions, "engine": engine}
     calls = [_Part(setting.run, part_options, range(*part), policy) for part in pairwise(bounds)]
     watcher = _Finished(on_episode, setting.episodes)
-    done = []
     with closing(
         results(executor.map(_play_part, calls, watcher=watcher, files=[setting.run.path / RECORD_NAME]))
     ) as played:
-        for episode in chain.from_iterable(played):
-            done.append(episode)
-            if until is not None and until(done):
-                break
+        done = in_order(enumerate(chain.from_iterable(played)), range(setting.episodes), until=until)
     return setting.result(model, done, deterministic=deterministic)
 
 
@@ -337,18 +306,13 @@ def evaluate_baselines(
     Random actions are sampled by the action space, which the seed of each episode seeds.
     """
     setting = _Setting(run, episodes, seed, scenario, case, stage, permissions, engine, build)
+    scripts = {f"script {script.name}": script.name for script in setting.program.agent.scripts}
+    starts = [Start.of_evaluation(setting.seed, number) for number in range(setting.episodes)]
     results = []
     with closing(setting.build(setting.program)) as world:
-        scripts = {f"script {script.name}": script.name for script in setting.program.agent.scripts}
         for name, driver in {RANDOM: RANDOM, ZERO: ZERO, **scripts}.items():
-            done = []
-            for number in range(setting.episodes):
-                done.append(
-                    play(world, named_driver(world, driver), Start.of_evaluation(setting.seed, number))
-                )
-                if on_episode is not None:
-                    on_episode(len(done), setting.episodes)
-            results.append(setting.result(name, done))
+            finished = enumerate(play(world, named_driver(world, driver), start) for start in starts)
+            results.append(setting.result(name, in_order(finished, range(len(starts)), on_episode)))
     return tuple(results)
 
 
@@ -452,37 +416,27 @@ class _Setting:
         until: StopCondition | None = None,
     ) -> list[Episode]:
         """The episodes of these numbers, the first of which is a multiple of `FORWARD_BATCH_SIZE`."""
-        program, make, engine, count = self.program, self.build, self.engine or "", len(numbers)
-        every = [derive_seed(self.seed, "evaluation", k) for k in range(numbers.stop)]
-        seeds = every[numbers.start :]
-        with torch_settings(), ExitStack() as stack:
-            together = min(count, MAX_BATCH_WORLDS)
-            if (
-                policy.deterministic
-                and policy.copies is None
-                and not reasons_against_batch(program, together, engine, make)
-            ):
-                many = stack.enter_context(closing(build_batch(program, together, engine=engine)))
-                model = load_model(self.run, policy.model, many.singles[0])
-                done = play_batch(model, many, seeds, on_episode=on_episode, until=until)
-                if done is not None:
-                    return done
-            run, worlds = self.run if self.judged is None else None, []
-            copies = (
-                max(1, min(policy.copies or FORWARD_BATCH_SIZE, FORWARD_BATCH_SIZE))
-                if policy.deterministic
-                else 1
-            )
-            for _ in range(min(count, copies)):
-                worlds.append(
-                    FailureRecorder(
-                        make(program), run, program, seeds=every, case=self.case, stage=self.stage
-                    )
-                )
-                stack.callback(worlds[-1].close)
-            model = load_model(self.run, policy.model, worlds[0])
-            return play_episodes(
-                model, worlds, seeds, deterministic=policy.deterministic, on_episode=on_episode, until=until
+        seeds, count = [derive_seed(self.seed, "evaluation", k) for k in range(numbers.stop)], len(numbers)
+        copies = (
+            max(1, min(policy.copies or FORWARD_BATCH_SIZE, FORWARD_BATCH_SIZE))
+            if policy.deterministic
+            else 1
+        )
+        engine = self.engine if self.engine and policy.deterministic and policy.copies is None else ""
+        run = self.run if self.judged is None else None
+        made = EvaluationWorlds(
+            self.build, run, engine=engine, batch=min(count, MAX_BATCH_WORLDS), singles=min(count, copies)
+        )
+        with torch_settings(), closing(made) as worlds:
+            worlds.enter(self.program, case=self.case, stage=self.stage)
+            model = load_model(self.run, policy.model, worlds.first)
+            return worlds.play(
+                model,
+                seeds,
+                numbers,
+                deterministic=policy.deterministic,
+                on_episode=on_episode,
+                until=until,
             )
 
     @property
@@ -523,9 +477,6 @@ class _Setting:
             possible_returns(program) if engine else UNBOUNDED
         )  # a world of the caller may pay anything
         file = self.run.model(model)
-        summary = Summary.of_episodes(
-            done, (low, high), ALPHA if confirmation is None else error_level(confirmation)
-        )
         is_confirmed = run.record.result is not None and run.record.result.confirmed_seed is not None
         number = 1 if run.record.result is None else run.record.result.confirmations + 1
         needs_no_confirmation = confirmation is not None or (
@@ -561,8 +512,10 @@ class _Setting:
                 f"these starts confirmed that the task is solved (confirmation {confirmation}), and ended"
                 " the training"
             )
-        return EvaluationResult(
-            **vars(summary),
+        return EvaluationResult.of_episodes(
+            done,
+            (low, high),
+            ALPHA if confirmation is None else error_level(confirmation),
             run=run.path,
             scenario=program.name,
             model=model,

@@ -26,7 +26,8 @@ from deepbots_cli import api
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError, RunError, UsageError
 from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.run import Run, read_json, write_numbered
+from deepbots_cli.learning.directories import read_json, write_numbered
+from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import sequence_driver

@@ -30,23 +30,19 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
 from deepbots_cli.learning.campaign import MAX_SEEDS, Campaign, CampaignRecord, Member, train_member
+from deepbots_cli.learning.directories import WORKERS_FOLDER, new_directory, run_lock
 from deepbots_cli.learning.executor import SERIAL, Attempt, CallOptions, Executor
 from deepbots_cli.learning.order import Measure, Rank, measure_of, rank
+from deepbots_cli.learning.records import RunRecord, TrainingOptions, TrainingResult
 from deepbots_cli.learning.report import GroupProgressReporter, GroupReporter, Reporter, TrainingProgress
-from deepbots_cli.learning.run import (
-    WORKERS_FOLDER,
-    RunRecord,
-    TrainingOptions,
-    TrainingResult,
-    new_directory,
-    run_lock,
-)
+from deepbots_cli.learning.signals import Interruption, signals_handled
 from deepbots_cli.learning.verdict import RunVerdict, run_verdict
 from deepbots_cli.rollout.source import GROUP_RECORD_NAME, SourceKind, folder_kind
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.callbacks import Interruption, OnEvaluation
+    from deepbots_cli.learning.callbacks import OnEvaluation
     from deepbots_cli.learning.environments import WorldFactory
+    from deepbots_cli.learning.signals import Interruption
 
 MAX_RETRIES = 20
 
@@ -335,8 +331,6 @@ def _train_seeds(
 ) -> GroupTraining:
     """Train or continue every seed that is not finished, with `changes` of the options that the group began
     with."""
-    from deepbots_cli.learning.callbacks import Interruption, signals_handled  # which imports torch
-
     seeds, options = group.record.seeds, group.record.options
     skipped = tuple(seed for seed in seeds if _is_complete(group.run(seed), changes))
     left = [seed for seed in seeds if seed not in skipped]

@@ -17,6 +17,7 @@ from typing import Any
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import unwritable_message
+from deepbots_cli.learning.directories import run_lock
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.evaluation import play_models
 from deepbots_cli.learning.executor import SERIAL, Counter, Executor
@@ -28,7 +29,8 @@ from deepbots_cli.learning.order import (
     measure_of,
     play_off,
 )
-from deepbots_cli.learning.run import BestModel, ModelName, ModelRef, Run, has_model, run_lock
+from deepbots_cli.learning.records import BestModel
+from deepbots_cli.learning.run import ModelName, ModelRef, Run, has_model
 from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.streams import derive_seed
 

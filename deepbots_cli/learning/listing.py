@@ -18,17 +18,11 @@ from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.campaign import Campaign
 from deepbots_cli.learning.decline import Decline, decline_of
+from deepbots_cli.learning.directories import is_training, numbered_files
 from deepbots_cli.learning.episodes import WINDOW_EPISODES, read_log
 from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.run import (
-    DEMONSTRATIONS_NAME,
-    ChosenBy,
-    EvaluationRecord,
-    RunRecord,
-    changed_settings,
-    is_training,
-    numbered_files,
-)
+from deepbots_cli.learning.records import ChosenBy, EvaluationRecord, RunRecord, changed_settings
+from deepbots_cli.learning.run import DEMONSTRATIONS_NAME
 from deepbots_cli.learning.study import Study
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.rollout.source import Source, SourceKind, folder_kind

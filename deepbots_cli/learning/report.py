@@ -1,4 +1,4 @@
-"""Results as plain dictionaries, and the progress of a training."""
+"""The progress of a training."""
 
 from __future__ import annotations
 
@@ -6,44 +6,20 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, TextIO
 
-from pydantic import BaseModel
-
-from deepbots_cli.learning.episodes import SUCCESS_STATISTICS
 from deepbots_cli.learning.executor import Watcher
 from deepbots_cli.learning.order import Candidate, Measure
-from deepbots_cli.learning.run import TrainingResult
+from deepbots_cli.learning.records import TrainingResult
 from deepbots_cli.program.task import Solved
 
 if TYPE_CHECKING:
     from rich.console import Group
     from rich.live import Live
 
-    from deepbots_cli.learning.evaluation import EvaluationResult
-
-
-def to_json(result: TrainingResult | EvaluationResult) -> dict[str, Any]:
-    """The fields of a result, with paths as text; of an evaluation also the statistics by drawn value.
-
-    Statistics of success are None where the scenario defines no success.
-    """
-    if isinstance(result, BaseModel):
-        return result.model_dump(mode="json")
-    data = {
-        key: str(value) if isinstance(value, Path) else value
-        for key, value in asdict(result).items()
-        if key != "draws"
-    }
-    if not result.success_defined:
-        data |= dict.fromkeys(SUCCESS_STATISTICS)
-    return data | {"by_drawn_value": result.by_drawn_value.as_json(success_defined=result.success_defined)}
-
-
-# The progress of a training
 
 REFRESH_INTERVAL_S = 0.25
 """Seconds between two refreshes of the table; it has no thread of its own."""

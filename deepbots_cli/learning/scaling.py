@@ -18,7 +18,8 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import ScenarioError
 from deepbots_cli.learning.episodes import MAX_STEPS
 from deepbots_cli.learning.executor import SERIAL, Executor
-from deepbots_cli.learning.training import Iteration, train
+from deepbots_cli.learning.training import train
+from deepbots_cli.learning.training_loop import Iteration
 from deepbots_cli.rollout.collector import CollectTimes
 from deepbots_cli.scenario.fields import counted_noun
 

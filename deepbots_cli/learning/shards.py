@@ -21,10 +21,10 @@ import torch
 from deepbots_cli.api import build_batch
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import learner as learners
-from deepbots_cli.learning.callbacks import EvaluationWorld
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch
 from deepbots_cli.learning.failures import BatchFailureRecorder, FailureRecorder
+from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import longest_episode
@@ -148,7 +148,7 @@ class Shard:
         self._notes: list[str] = []
         self._stage, self._next_episode = 0, 1
         self._policy: Learner | None = None
-        self._evaluation = EvaluationWorld(build, run)
+        self._evaluation = EvaluationWorlds(build, run)
 
     def begin(self, episodes: Sequence[RunningEpisode]) -> Any:
         """Bring the worlds to the end of these episodes; the observations."""
@@ -213,9 +213,9 @@ class Shard:
         policy = self._begun()
         policy.actor().load(order.parameters)
         numbers = range(self._number, len(order.seeds), self._training.shards)
-        scenario = self._run.program.variant(None, order.stage)
         with _random_numbers_kept():
-            played = self._evaluation.play(policy, scenario, order.seeds, order.stage, numbers)
+            self._evaluation.enter(self._run.program.variant(None, order.stage), stage=order.stage)
+            played = self._evaluation.play(policy, order.seeds, numbers)
         return Evaluated(dict(zip(numbers, played, strict=True)))
 
     def _lesson(self, lesson: Lesson | None) -> Lesson | None:

@@ -36,10 +36,11 @@ from deepbots_cli.document.load import TUNE, setting_path
 from deepbots_cli.document.nodes import node_at
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.learning.campaign import Campaign, CampaignRecord, Member
+from deepbots_cli.learning.directories import new_directory
 from deepbots_cli.learning.episodes import UNBOUNDED, Interval
 from deepbots_cli.learning.order import Measure, Rank, rank
+from deepbots_cli.learning.records import versions
 from deepbots_cli.learning.report import TrainingProgress
-from deepbots_cli.learning.run import new_directory, versions
 from deepbots_cli.rollout.source import STUDY_RECORD_NAME, SourceKind
 from deepbots_cli.scenario.search import SearchSpace
 

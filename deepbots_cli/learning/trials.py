@@ -17,11 +17,12 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.campaign import evaluate_once
+from deepbots_cli.learning.directories import WORKERS_FOLDER, has_ended, is_training, run_lock
 from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.executor import SERIAL, Attempt, CallOptions, Executor, Watcher
 from deepbots_cli.learning.group import Group, resume_group, train_group
+from deepbots_cli.learning.records import RunRecord
 from deepbots_cli.learning.report import Reporter, TrainingProgress
-from deepbots_cli.learning.run import WORKERS_FOLDER, RunRecord, has_ended, is_training, run_lock
 from deepbots_cli.learning.study import (
     Journal,
     Objective,
@@ -41,7 +42,7 @@ from deepbots_cli.scenario.search import SearchSpace
 if TYPE_CHECKING:
     import optuna
 
-    from deepbots_cli.learning.callbacks import Interruption
+    from deepbots_cli.learning.signals import Interruption
 
 PRUNED_BY = "tune"
 """`stopped_by` of a run whose trial was pruned."""
@@ -93,7 +94,7 @@ def run_study(
         search = stack.enter_context(closing(_Search(study, reporter or StudyReporter(), permissions)))
         options: CallOptions = {"watcher": search}
         if not executor.is_here:
-            from deepbots_cli.learning.callbacks import Interruption, signals_handled  # which imports torch
+            from deepbots_cli.learning.signals import Interruption, signals_handled  # which imports torch
 
             interruption = Interruption()
             stack.enter_context(signals_handled(interruption))

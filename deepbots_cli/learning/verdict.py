@@ -14,17 +14,10 @@ from statistics import fmean
 from typing import NamedTuple
 
 from deepbots_cli.errors import RunError
+from deepbots_cli.learning.directories import is_training, numbered_files
 from deepbots_cli.learning.episodes import UNBOUNDED, Interval, meets_solved
-from deepbots_cli.learning.run import (
-    EvaluationRecord,
-    EvaluationWithEpisodes,
-    ModelRef,
-    Run,
-    RunRecord,
-    has_model,
-    is_training,
-    numbered_files,
-)
+from deepbots_cli.learning.records import EvaluationRecord, EvaluationWithEpisodes, RunRecord
+from deepbots_cli.learning.run import ModelRef, Run, has_model
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 

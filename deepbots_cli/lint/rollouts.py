@@ -33,6 +33,7 @@ from deepbots_cli.lint.simulation import (
     MAX_SINK,
     RANDOM,
     Clearance,
+    End,
     Rolling,
     Rollout,
     UnreachedPose,
@@ -244,22 +245,8 @@ class Simulator:
                 self._write({"stop": {"kind": "space", "entries": _outside(environment, step.observation)}})
                 raise StoppedError
         if report:
-            worth = float(np.dot(rewards, self._program.agent.discount ** np.arange(len(rewards))))
-            limit = "limit" if environment.truncated else "left"
-            if environment.is_success:
-                end = "success"
-            elif environment.terminated:
-                end = "failure"
-            else:
-                end = limit
-            episode = {
-                "policy": rollout.policy,
-                "seed": rollout.seed,
-                "steps": len(rewards),
-                "discounted_return": worth,
-                "end": end,
-            }
-            self._write({"episode": episode})
+            result = episode_result(step, rewards, self._program.agent.discount)
+            self._write({"episode": {"policy": rollout.policy, "seed": rollout.seed, **result}})
 
     def _steps(self, environment: Supervisor, rollout: Rollout) -> Iterator[Step]:
         """The steps of an episode; the number of each is written before it begins."""
@@ -392,6 +379,17 @@ class Counter:
             *(part.tolist() for part in (self.sums, self.sizes, self.least, self.greatest)), strict=True
         )
         return [self.steps, self.rows, list(numbers), list(terms)]
+
+
+def episode_result(
+    last: Step, rewards: Sequence[float] | NDArray[np.float64], discount: float
+) -> dict[str, Any]:
+    """The result of an episode in a report, from its last step and the reward of each step."""
+    end: End = "limit" if last.truncated else "left"
+    if last.terminated or last.info["is_success"]:
+        end = "success" if last.info["is_success"] else "failure"
+    discounted = float(np.dot(rewards, discount ** np.arange(len(rewards))))
+    return {"steps": len(rewards), "discounted_return": discounted, "end": end}
 
 
 def _actions(environment: Supervisor, rollout: Rollout) -> Iterator[Any]:

@@ -21,7 +21,8 @@ from deepbots_cli import api
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.lint.exploits import is_better_than_success
-from deepbots_cli.lint.simulation import DrivenEpisode, DriverKind, End, work_per_step
+from deepbots_cli.lint.rollouts import episode_result
+from deepbots_cli.lint.simulation import DrivenEpisode, DriverKind, work_per_step
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionPart, Choices, idle_action
 from deepbots_cli.rollout import Driver, Start, Step, steps
@@ -191,24 +192,17 @@ class ExploitSearch:
         values: NDArray[np.float64] = np.array(rows)
         quarters = [part.sum(axis=0) for part in np.array_split(values[:, :-1], 4)]
         rewards = values[:, -1]
-        end: End = "limit" if step.truncated else "left"
-        if step.info["is_success"]:
-            end = "success"
-        elif step.terminated:
-            end = "failure"
         episode = DrivenEpisode(
             driver=driver,
             kind=kind,
             number=number,
-            steps=len(rows),
             total_return=float(rewards.sum()),
-            discounted_return=float(rewards @ self._program.agent.discount ** np.arange(len(rows))),
-            end=end,
             ended_by=step.info["ended_by"],
             terms={
                 name: [float(part[at]) for part in quarters]
                 for at, name in enumerate(step.info["reward_terms"])
             },
+            **episode_result(step, rewards, self._program.agent.discount),
             **watch.summary(),
         )
         self._write({"driven": asdict(episode)})
@@ -457,7 +451,7 @@ class MotionWatch:
                 for state, (low, high) in states
             )
 
-    def summary(self) -> dict[str, float]:
+    def summary(self) -> dict[str, Any]:
         """The fields of a `DrivenEpisode` about motion."""
         turns, stopped = abs(self._turned) / (2 * pi), self._stopped / max(1, self._steps)
         return {

@@ -16,7 +16,7 @@ import gymnasium as gym
 import numpy as np
 import torch
 
-from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.errors import EngineError
 from deepbots_cli.rollout.episode import (
     Driver,
     Episode,
@@ -35,6 +35,8 @@ FORWARD_BATCH_SIZE = 8
 """A forward pass of a small policy takes about 0.1 ms for any number of rows up to 16; more worlds than 8
 gain little."""
 
+NumberedEpisode = tuple[int, Episode]
+"""A finished episode of an evaluation, with its number from 0."""
 StopCondition = Callable[[Sequence[Episode]], bool]
 """Whether the first episodes of an evaluation are enough."""
 
@@ -60,31 +62,20 @@ def play_episodes(
     seeds: Sequence[int],
     *,
     deterministic: bool,
-    numbers: Sequence[int] | None = None,
-    on_episode: OnEpisode | None = None,
-    until: StopCondition | None = None,
-) -> list[Episode]:
-    """One episode from each seed, in the order of `seeds`, or only those with these `numbers`.
+    numbers: Sequence[int],
+) -> Iterator[NumberedEpisode]:
+    """The episodes with these `numbers`, each from its seed, in the order in which they end.
 
     Runs up to `FORWARD_BATCH_SIZE` worlds at a time; a policy that samples, or a world with several agents,
-    uses only one. With `until`, the result ends with the first episode for which it returns True. An episode
-    depends on its seed and its number only, so the result is the same for any number of worlds, and for any
-    division of the numbers.
+    uses only one. An episode depends on its seed and its number only, so it is the same for any number of
+    worlds, and for any division of the numbers.
     """
-    numbers = range(len(seeds)) if numbers is None else numbers
-    on_episode, until = on_episode or (lambda done, of: None), until or (lambda episodes: False)
-    episodes: list[Episode] = []
     if has_copies(worlds[0]):
         driver = PolicyDriver(policy, worlds[0], deterministic=deterministic)
-        for number in numbers:
-            episodes.append(play(worlds[0], driver, Start(seeds[number])))
-            on_episode(len(episodes), len(numbers))
-            if until(episodes):
-                break
-        return episodes
+        yield from ((number, play(worlds[0], driver, Start(seeds[number]))) for number in numbers)
+        return
     together = min(len(worlds), FORWARD_BATCH_SIZE) if deterministic else 1
     forward = ForwardPass(worlds[0].observation_space, _choices(worlds[0]) if policy.takes_masks else None)
-    finished: dict[int, Episode] = {}
     by_row = [
         [number for number in numbers if number % FORWARD_BATCH_SIZE == row]
         for row in range(FORWARD_BATCH_SIZE)
@@ -98,38 +89,32 @@ def play_episodes(
         running = [lane for lane in lanes if lane.begin(forward)]
         while running:
             actions = forward.predict(policy, deterministic=deterministic)
-            for lane in running:
-                episode = lane.step(actions[lane.row], forward)
-                if episode is not None:
-                    finished[lane.number] = episode
-                    on_episode(len(finished), len(numbers))
-            if _complete(episodes, finished, numbers, until):
+            stepped = [(lane, lane.step(actions[lane.row], forward)) for lane in running]
+            yield from ((lane.number, episode) for lane, episode in stepped if episode is not None)
+            running = [lane for lane, episode in stepped if episode is None or lane.begin(forward)]
+
+
+def in_order(
+    finished: Iterable[NumberedEpisode],
+    numbers: Sequence[int],
+    on_episode: OnEpisode | None = None,
+    until: StopCondition | None = None,
+) -> list[Episode]:
+    """The episodes in the order of `numbers`; the last one is the first for which `until` returns True."""
+    done: dict[int, Episode] = {}
+    episodes: list[Episode] = []
+    for number, episode in finished:
+        done[number] = episode
+        if on_episode is not None:
+            on_episode(len(done), len(numbers))
+        while len(episodes) < len(numbers) and numbers[len(episodes)] in done:
+            episodes.append(done[numbers[len(episodes)]])
+            if until is not None and until(episodes):
                 return episodes
-            running = [lane for lane in running if lane.number not in finished or lane.begin(forward)]
     return episodes
 
 
-def _complete(
-    episodes: list[Episode], finished: dict[int, Episode], numbers: Sequence[int], until: StopCondition
-) -> bool:
-    """Append the episodes that follow in the order of `numbers`; whether they are enough."""
-    for number in numbers[len(episodes) :]:
-        if number not in finished:
-            break
-        episodes.append(finished[number])
-        if until(episodes):
-            return True
-    return False
-
-
-def play_batch(
-    policy: Predictor,
-    worlds: BatchSupervisor,
-    seeds: Sequence[int],
-    *,
-    on_episode: OnEpisode | None = None,
-    until: StopCondition | None = None,
-) -> list[Episode] | None:
+def play_batch(policy: Predictor, worlds: BatchSupervisor, seeds: Sequence[int]) -> Iterator[NumberedEpisode]:
     """The episodes of `play_episodes` in a batch of worlds, with the likeliest actions; there are at least as
     many seeds as worlds.
 
@@ -137,55 +122,44 @@ def play_batch(
     that sit in the same row of `play_episodes`. With copies of a robot each world has a forward pass of its
     own, with a row for each copy.
 
-    Returns:
-        The same as `play_episodes`. None if a world fails: `play_episodes` then says where, and keeps its
-            episode.
+    Raises:
+        DeepbotsError: A world fails; `play_episodes` says where.
     """
-    on_episode, until = on_episode or (lambda done, of: None), until or (lambda episodes: False)
     count, width = len(worlds.singles), worlds.copies
     size = 1 if has_copies(worlds.singles[0]) else FORWARD_BATCH_SIZE
     choices = _choices(next(iter(worlds.singles[0].agents.values()))) if policy.takes_masks else None
     passes = [ForwardPass(worlds.observation_space, choices, size * width) for _ in range(0, count, size)]
     waiting = [deque(range(count + (row - count) % size, len(seeds), size)) for row in range(size)]
     numbers, running = list(range(count)), BatchEpisodes(worlds)
-    finished: dict[int, Episode] = {}
-    episodes: list[Episode] = []
     answers: list[Any] = [None] * len(passes)
     lost = len(worlds.losses)
-    try:
-        seen = worlds.reset(seeds[:count])
-        drawn = [single.drawn() for single in worlds.singles]
-        while not running.resting.all():
-            masks = None if choices is None else worlds.action_masks()
-            for place, forward in enumerate(passes):
-                those = slice(place * size, min(count, (place + 1) * size))
-                if answers[place] is None or not running.resting[those].all():
-                    forward.put_all(seen, slice(those.start * width, those.stop * width), masks)
-                    answers[place] = forward.predict(policy, deterministic=True)
-            outcome = running.step_all(np.concatenate(answers)[: worlds.count])
-            if len(worlds.losses) > lost:
-                return None
-            begun = []
-            for place, world in enumerate(outcome.done.tolist()):
-                number, row = numbers[world], world % size
-                finished[number] = running.close(world, outcome.infos[place], seeds[number], drawn[world])
-                on_episode(len(finished), len(seeds))
-                if waiting[row]:
-                    numbers[world] = waiting[row].popleft()
-                    passes[world // size].starts[row * width : (row + 1) * width] = True
-                    begun.append(world)
-                else:
-                    running.resting[world] = True
-            if _complete(episodes, finished, range(len(seeds)), until):
-                return episodes
-            if begun:
-                worlds.begin(begun, [seeds[numbers[world]] for world in begun])
-                for world in begun:
-                    drawn[world] = worlds.singles[world].drawn()
-            seen = worlds.observations() if begun else worlds.by_row(outcome.observations)
-    except DeepbotsError:
-        return None
-    return episodes
+    seen = worlds.reset(seeds[:count])
+    drawn = [single.drawn() for single in worlds.singles]
+    while not running.resting.all():
+        masks = None if choices is None else worlds.action_masks()
+        for place, forward in enumerate(passes):
+            those = slice(place * size, min(count, (place + 1) * size))
+            if answers[place] is None or not running.resting[those].all():
+                forward.put_all(seen, slice(those.start * width, those.stop * width), masks)
+                answers[place] = forward.predict(policy, deterministic=True)
+        outcome = running.step_all(np.concatenate(answers)[: worlds.count])
+        if len(worlds.losses) > lost:
+            raise EngineError(worlds.losses[-1].error)
+        begun = []
+        for place, world in enumerate(outcome.done.tolist()):
+            number, row = numbers[world], world % size
+            yield number, running.close(world, outcome.infos[place], seeds[number], drawn[world])
+            if waiting[row]:
+                numbers[world] = waiting[row].popleft()
+                passes[world // size].starts[row * width : (row + 1) * width] = True
+                begun.append(world)
+            else:
+                running.resting[world] = True
+        if begun:
+            worlds.begin(begun, [seeds[numbers[world]] for world in begun])
+            for world in begun:
+                drawn[world] = worlds.singles[world].drawn()
+        seen = worlds.observations() if begun else worlds.by_row(outcome.observations)
 
 
 class PolicyDriver(Driver):

@@ -25,7 +25,8 @@ from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.files import file_stamps
 from deepbots_cli.frames import Triple, add, roll_pitch_yaw, scaled
-from deepbots_cli.learning.run import Run, RunRecord
+from deepbots_cli.learning.records import RunRecord
+from deepbots_cli.learning.run import Run
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.rollout.drivers import HAND, RANDOM, ZERO, sequence_driver
 from deepbots_cli.rollout.source import RECORDING_SUFFIX

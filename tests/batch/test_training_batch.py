@@ -17,11 +17,12 @@ from deepbots_cli import api, learning
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.learning import learner
 from deepbots_cli.learning.environments import stepping_text, supervisor_factory
+from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.collector import LocalCollector
-from deepbots_cli.rollout.policies import play_batch, play_episodes
+from deepbots_cli.rollout.policies import in_order, play_batch, play_episodes
 from deepbots_cli.rollout.worlds import BatchWorlds, Worlds, observation_digest
 from deepbots_cli.runtime import Supervisor
 
@@ -162,16 +163,17 @@ def test_a_running_batch_is_restored_exactly(program: Program) -> None:
 
 def evaluated(
     name: str, worlds: int, seeds: list[int], overrides: tuple[str, ...] = ()
-) -> tuple[list[Episode] | None, list[Episode]]:
+) -> tuple[list[Episode], list[Episode]]:
     """Episodes of an untrained policy in a batch, and in two single worlds."""
     program = api.compile(name, overrides=overrides).program
     assert program.agent.training is not None
-    singles = [api.build(program, engine="mujoco") for _ in range(2)]
+    singles, numbers = [api.build(program, engine="mujoco") for _ in range(2)], range(len(seeds))
     with closing(Worlds(singles, [0, 0])), closing(api.build_batch(program, worlds)) as many:
         policy = learner.create(
             learner.Setup(program.agent.training, many.observation_space, many.action_space)
         )
-        return play_batch(policy, many, seeds), play_episodes(policy, singles, seeds, deterministic=True)
+        apart = play_episodes(policy, singles, seeds, deterministic=True, numbers=numbers)
+        return in_order(play_batch(policy, many, seeds), numbers), in_order(apart, numbers)
 
 
 @pytest.mark.parametrize(
@@ -196,8 +198,16 @@ def test_an_evaluation_in_a_batch_gives_the_episodes_of_single_worlds(
 
 def test_an_evaluation_in_which_a_world_fails_is_left_to_single_worlds() -> None:
     """They say which episode it is, and keep it."""
-    with pytest.raises(EvaluationError, match="step 5"):
-        evaluated("cartpole", worlds=8, seeds=list(range(8)), overrides=("reward.odd=1/(5 - step)",))
+    program = api.compile("cartpole", overrides=("reward.odd=1/(5 - step)",)).program
+    assert program.agent.training is not None
+    with closing(EvaluationWorlds(supervisor_factory("mujoco"), engine="mujoco", batch=8)) as worlds:
+        worlds.enter(program)
+        assert worlds.has_batch_for(8)
+        policy = learner.create(
+            learner.Setup(program.agent.training, worlds.first.observation_space, worlds.first.action_space)
+        )
+        with pytest.raises(EvaluationError, match=r"episode 1 \(seed 0\), .*step 5"):
+            worlds.play(policy, range(8))
 
 
 def test_why_worlds_are_stepped_one_by_one_is_told() -> None:

@@ -26,7 +26,7 @@ from deepbots_cli.cli.command import without_old_spelling
 from deepbots_cli.cli.training_page import training_page
 from deepbots_cli.document import Permissions
 from deepbots_cli.insight.diagnosis import causes_after
-from deepbots_cli.learning.run import RunRecord
+from deepbots_cli.learning.records import RunRecord
 from deepbots_cli.learning.verdict import run_verdict
 from tests.cli.conftest import Ran
 

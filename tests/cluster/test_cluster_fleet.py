@@ -24,8 +24,8 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning import evaluate, evaluate_group, resume_group, scaling, train_group
 from deepbots_cli.learning.executor import SERIAL
 from deepbots_cli.learning.group import GroupTraining
-from deepbots_cli.learning.report import GroupProgressReporter, TrainingProgress, to_json
-from deepbots_cli.learning.run import TrainingResult
+from deepbots_cli.learning.records import TrainingResult
+from deepbots_cli.learning.report import GroupProgressReporter, TrainingProgress
 
 SEEDS = (0, 1, 2)
 
@@ -158,7 +158,9 @@ def test_evaluations_on_workers_are_the_same_and_stop_at_the_same_episode(
             for executor in (SERIAL, cluster)
         )
         assert [result.episodes for result in workers] == episodes
-        assert [to_json(each) for each in workers] == [to_json(each) for each in here]
+        assert [each.model_dump(mode="json") for each in workers] == [
+            each.model_dump(mode="json") for each in here
+        ]
 
 
 @pytest.mark.slow
@@ -171,7 +173,7 @@ def test_the_episodes_of_an_evaluation_on_workers_are_the_same(
     workers = evaluate(
         run, episodes=21, executor=cluster, on_episode=lambda done, of: shown.append(done), **options
     )
-    assert to_json(workers) == to_json(here)
+    assert workers.model_dump(mode="json") == here.model_dump(mode="json")
     assert shown == sorted(set(shown))
 
 

@@ -8,7 +8,6 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.learning import evaluate, train
-from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import Run
 from tests.insight.logs import train_shuttle
 
@@ -31,7 +30,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         total_timesteps=256,
         command=("deepbots", "train", "<b>cartpole</b>"),
     )
-    Run.open(trained.run).write_evaluation(to_json(evaluate(trained.run, episodes=12)))
+    Run.open(trained.run).write_evaluation(evaluate(trained.run, episodes=12).model_dump(mode="json"))
     return trained.run
 
 

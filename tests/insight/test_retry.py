@@ -20,7 +20,7 @@ from deepbots_cli.insight.statements import Statement
 from deepbots_cli.learning.comparison import evaluate_group
 from deepbots_cli.learning.group import Group, RetryAttempt, resume_group
 from deepbots_cli.learning.listing import list_runs
-from deepbots_cli.learning.run import EvaluationRecord, RunRecord
+from deepbots_cli.learning.records import EvaluationRecord, RunRecord
 from deepbots_cli.learning.verdict import RunVerdict
 
 SCENARIO = """\

@@ -21,16 +21,12 @@ from deepbots_cli.learning import (
     resume,
     train,
 )
-from deepbots_cli.learning.callbacks import (
-    EVALUATION_EPISODES,
-    Evaluator,
-    Interruption,
-    confirmation_root,
-    evaluation_seeds,
-)
 from deepbots_cli.learning.confirmation import COST_SHARE
+from deepbots_cli.learning.held_out import EVALUATION_EPISODES, Evaluator, confirmation_root, evaluation_seeds
+from deepbots_cli.learning.records import PATIENCE, RunRecord
 from deepbots_cli.learning.report import Reporter
-from deepbots_cli.learning.run import PATIENCE, Run, RunRecord
+from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.signals import Interruption
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Solved, Training

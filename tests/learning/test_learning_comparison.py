@@ -14,7 +14,6 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import compare, evaluate, evaluate_group, load_policy, train, train_group
 from deepbots_cli.learning.comparison import GroupDifference
 from deepbots_cli.learning.group import GroupTraining
-from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.statistics import compare_episodes, mean_interval
 from deepbots_cli.learning.verdict import last_episodes
@@ -87,8 +86,10 @@ def test_evaluations_of_checkpoints_are_the_last_ones_too(run_copy: Path) -> Non
     run = Run.open(run_copy)
     run.model("step-000000128").write_bytes(run.model("last").read_bytes())
     of_checkpoint = ModelRef.open(run.model("step-000000128"))
-    best = run.write_evaluation(to_json(evaluate(run, episodes=2, build=stand_in.build)))
-    path = run.write_evaluation(to_json(evaluate(of_checkpoint, episodes=2, build=stand_in.build)))
+    best = run.write_evaluation(evaluate(run, episodes=2, build=stand_in.build).model_dump(mode="json"))
+    path = run.write_evaluation(
+        evaluate(of_checkpoint, episodes=2, build=stand_in.build).model_dump(mode="json")
+    )
     for ref, expected in (
         (ModelRef(run), path),
         (of_checkpoint, path),
@@ -97,7 +98,9 @@ def test_evaluations_of_checkpoints_are_the_last_ones_too(run_copy: Path) -> Non
         found = last_episodes(ref)
         assert found is not None
         assert found[0] == expected
-    forged = to_json(evaluate(run, episodes=2, build=stand_in.build)) | {"model": "../../../elsewhere"}
+    forged = evaluate(run, episodes=2, build=stand_in.build).model_dump(mode="json") | {
+        "model": "../../../elsewhere"
+    }
     run.write_evaluation(forged)
     assert last_episodes(ModelRef(run))[0] == path  # type: ignore[index]
 
@@ -215,8 +218,8 @@ def test_a_group_counts_solved_runs_by_their_verdicts(group: GroupTraining) -> N
     found = evaluate_group(group.group, episodes=10, build=stand_in.build)
     first, *others = found.evaluations
     run = Run.open(first.run)
-    run.write_evaluation(to_json(replace(first, episodes=100, solved=True)))
+    run.write_evaluation(first.model_copy(update={"episodes": 100, "solved": True}).model_dump(mode="json"))
     for result in others:
-        Run.open(result.run).write_evaluation(to_json(result))
+        Run.open(result.run).write_evaluation(result.model_dump(mode="json"))
     assert "solved              1 of 3 seeds" in records.group_text(found)
     assert records.group_json(found)["solved"] == [True, False, False]

@@ -19,7 +19,7 @@ from deepbots_cli.cli.records import evaluation_text, training_text
 from deepbots_cli.errors import EngineError, RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.curriculum import Curriculum, CurriculumState
-from deepbots_cli.learning.report import TrainingProgress, to_json
+from deepbots_cli.learning.report import TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Criterion, Hyperparameter, Solved, Training
@@ -221,7 +221,7 @@ def test_an_evaluation_says_when_the_training_did_not_come_to_the_last_stage(tmp
     evaluation = evaluate(result.run, episodes=2, build=stand_in.build)
     assert evaluation.greatest_return > 11  # the scenario itself, not the stage
     assert "the training ended in stage b, number 2 of 3" in evaluation_text(evaluation)
-    assert json.loads(json.dumps(to_json(result)))["stage"] == "b"
+    assert json.loads(json.dumps(result.model_dump(mode="json")))["stage"] == "b"
 
 
 def test_a_stage_that_cannot_be_built_is_found_before_there_is_a_run(tmp_path: Path) -> None:

@@ -15,14 +15,13 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.learning import TrainingResult, evaluate, evaluate_baselines, evaluate_cases, train
 from deepbots_cli.learning.episodes import Summary
-from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.verdict import solved_verdict
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 
 
 def figures(trained: TrainingResult, **settings: object) -> dict[str, object]:
-    return to_json(evaluate(trained.run, build=stand_in.build, **settings))  # type: ignore[arg-type]
+    return evaluate(trained.run, build=stand_in.build, **settings).model_dump(mode="json")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("deterministic", [True, False])
@@ -67,7 +66,7 @@ def test_the_figures_belong_together(trained: TrainingResult) -> None:
     text = evaluation_text(result)
     assert "95 %" in text
     assert text.splitlines()[-1] == result.verdict
-    assert json.loads(json.dumps(to_json(result)))["episodes"] == 20
+    assert json.loads(json.dumps(result.model_dump(mode="json")))["episodes"] == 20
 
 
 def test_each_episode_is_told_when_it_is_over(trained: TrainingResult) -> None:
@@ -182,7 +181,8 @@ def test_every_case_is_evaluated_from_the_same_starts(tmp_path: Path) -> None:
     base = evaluate(run, build=stand_in.build)
     short, same = evaluate_cases(run, build=stand_in.build)
     assert (short.case, short.episodes, short.greatest_return) == ("short", 3, 7.0)
-    assert to_json(same) | {"case": None, "circumstances": (), "verdict": base.verdict} == to_json(base)
+    plain = {"case": None, "circumstances": [], "verdict": base.verdict}
+    assert same.model_dump(mode="json") | plain == base.model_dump(mode="json")
     assert evaluate(run, case="short", build=stand_in.build) == short
     assert evaluate(run, case="short", episodes=5, build=stand_in.build).episodes == 5
     assert "case short" in evaluation_text(short)

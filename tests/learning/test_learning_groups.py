@@ -30,10 +30,12 @@ from deepbots_cli.learning import (
     train_group,
 )
 from deepbots_cli.learning.comparison import GroupDifference
+from deepbots_cli.learning.directories import run_lock
 from deepbots_cli.learning.group import Group, GroupTraining
 from deepbots_cli.learning.listing import list_runs, read_listed, sort_runs
-from deepbots_cli.learning.report import Reporter, TrainingProgress, to_json
-from deepbots_cli.learning.run import Run, run_lock, short_settings
+from deepbots_cli.learning.records import short_settings
+from deepbots_cli.learning.report import Reporter, TrainingProgress
+from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.statistics import compare_seeds, interquartile_mean, mean_interval
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Solved, Training
@@ -157,7 +159,7 @@ def test_a_group_is_evaluated_by_one_score_per_seed(trained_group: GroupTraining
     assert found.return_interval == mean_interval(found.returns)
     assert found.interquartile_mean == interquartile_mean(found.returns)
     alone = evaluate(trained_group.group / "seed-1", episodes=6, seed=0, build=stand_in.build)
-    assert to_json(alone) == to_json(found.evaluations[1])
+    assert alone.model_dump(mode="json") == found.evaluations[1].model_dump(mode="json")
 
 
 def test_the_gate_of_a_group_stops_when_the_other_seeds_cannot_change_the_answer(
@@ -279,9 +281,9 @@ def test_the_list_shows_the_longest_evaluation_in_the_scenario_of_the_training(r
     assert read_listed(run_copy).score == "training"
     plain = evaluate(run_copy, episodes=3, build=stand_in.build)
     run = Run.open(run_copy)
-    run.write_evaluation(to_json(plain))
-    run.write_evaluation(to_json(plain) | {"mean_return": 1e6, "set": ["world.substeps=2"]})
-    run.write_evaluation(to_json(plain) | {"mean_return": 1e6, "model": "last"})
+    run.write_evaluation(plain.model_dump(mode="json"))
+    run.write_evaluation(plain.model_dump(mode="json") | {"mean_return": 1e6, "set": ["world.substeps=2"]})
+    run.write_evaluation(plain.model_dump(mode="json") | {"mean_return": 1e6, "model": "last"})
     (run_copy / "evaluations" / "0009.json").write_text("{")
     found = read_listed(run_copy)
     assert (found.score, found.mean_return, found.return_interval) == (
@@ -290,7 +292,7 @@ def test_the_list_shows_the_longest_evaluation_in_the_scenario_of_the_training(r
         plain.return_interval,
     )
     run.write_evaluation(
-        to_json(plain) | {"mean_return": 1e6, "episodes": 2}
+        plain.model_dump(mode="json") | {"mean_return": 1e6, "episodes": 2}
     )  # such as one that a gate has stopped early
     found = read_listed(run_copy)
     assert (found.mean_return, found.evaluated_episodes) == (plain.mean_return, 3)

@@ -11,10 +11,11 @@ import stand_in
 
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import evaluate, train
+from deepbots_cli.learning.directories import run_lock
 from deepbots_cli.learning.keeping import keep, kept_models
 from deepbots_cli.learning.learner import steps_of
-from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import ModelRef, Run, RunRecord, run_lock
+from deepbots_cli.learning.records import RunRecord
+from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Training
@@ -73,7 +74,7 @@ def test_the_best_model_is_chosen_again_on_new_starts_and_evaluated_on_others(ru
     before, names = bytes_of(run, "best"), kept_models(run)
     assert len(names) >= 3
     assert len(set(names.values())) == len(names)
-    run.write_evaluation(to_json(evaluate(run, episodes=4, build=stand_in.build)))
+    run.write_evaluation(evaluate(run, episodes=4, build=stand_in.build).model_dump(mode="json"))
     # The second model wins the first round, and is the first to play in each later one.
     turns, left = [1], len(names)
     played = left
@@ -102,7 +103,7 @@ def test_the_best_model_is_chosen_again_on_new_starts_and_evaluated_on_others(ru
     evaluated = evaluate(kept.run, episodes=4, build=build)
     assert evaluated.seed == kept.best.evaluation_seed != run.record.seed
     assert not {episode.seed for episode in evaluated.outcomes} & seen
-    kept.run.write_evaluation(to_json(evaluated))
+    kept.run.write_evaluation(evaluated.model_dump(mode="json"))
     assert run_verdict(run.path, RunRecord.read(run.path)).evaluation is not None
 
 
@@ -132,7 +133,7 @@ def test_a_checkpoint_is_kept_by_hand(run: Run) -> None:
 
 
 def test_the_best_model_stays_with_its_evaluations_where_it_is_chosen_again(run: Run) -> None:
-    run.write_evaluation(to_json(evaluate(run, episodes=4, build=stand_in.build)))
+    run.write_evaluation(evaluate(run, episodes=4, build=stand_in.build).model_dump(mode="json"))
     kept = keep(ModelRef.open(run.model("best")), build=stand_in.build)
     assert kept.earlier is None
     assert not list(run.model("best").parent.glob("earlier-*"))

@@ -20,8 +20,9 @@ from deepbots_cli.errors import PluginError, UsageError
 from deepbots_cli.learning import TrainingResult, resume, resume_group, train, train_group
 from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.group import Group
+from deepbots_cli.learning.records import RunRecord
 from deepbots_cli.learning.report import Reporter, TrainingProgress
-from deepbots_cli.learning.run import Run, RunRecord
+from deepbots_cli.learning.run import Run
 from deepbots_cli.program.task import Hyperparameter, Training
 from tests.plugins import test_plugins
 

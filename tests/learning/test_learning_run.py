@@ -19,8 +19,8 @@ from deepbots_cli import api
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
-from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import Run, new_directory
+from deepbots_cli.learning.directories import new_directory
+from deepbots_cli.learning.run import Run
 from deepbots_cli.robots.model import Mesh
 
 
@@ -227,7 +227,7 @@ def test_a_lock_that_is_a_link_is_not_followed(run_copy: Path, tmp_path: Path) -
 
 def test_an_evaluation_is_kept_with_its_episodes(run_copy: Path) -> None:
     run = Run.open(run_copy)
-    result = to_json(evaluate(run, episodes=2, build=stand_in.build))
+    result = evaluate(run, episodes=2, build=stand_in.build).model_dump(mode="json")
     first, second = run.write_evaluation(result), run.write_evaluation(result)
     assert [first.name, second.name] == ["0001.json", "0002.json"]
     assert len(json.loads(first.read_text())["outcomes"]) == 2

@@ -24,10 +24,11 @@ from stable_baselines3.common.env_checker import check_env
 from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError, install_hint
 from deepbots_cli.learning import TrainingResult, checkpoints, evaluate, resume, train
+from deepbots_cli.learning.directories import run_lock
 from deepbots_cli.learning.episodes import read_evaluations
 from deepbots_cli.learning.order import Candidate
-from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal, to_json
-from deepbots_cli.learning.run import Run, run_lock
+from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal
+from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.learning.sb3.logs import TrainingLog
 from deepbots_cli.learning.sb3.state import StableState
@@ -557,7 +558,7 @@ def python(code: str, *arguments: str, folder: Path) -> str:
 
 
 def test_results_are_json_and_text(trained: TrainingResult) -> None:
-    assert json.loads(json.dumps(to_json(trained)))["run"] == str(trained.run)
+    assert json.loads(json.dumps(trained.model_dump(mode="json")))["run"] == str(trained.run)
     assert str(trained.run) in training_text(trained)
 
 

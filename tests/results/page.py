@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from deepbots_cli.learning.run import write_text
+from deepbots_cli.learning.directories import write_text
 from tests.results import measure, picture
 from tests.results.card import (
     NOTE,

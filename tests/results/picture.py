@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from deepbots_cli.learning.run import write_text
+from deepbots_cli.learning.directories import write_text
 from tests.results.experiment import Bar, Crossed, Experiment, Mark, Solved
 
 Entry = Mapping[str, Any]

@@ -23,7 +23,7 @@ from deepbots_cli.insight.study import StudyReport
 from deepbots_cli.learning import trials
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.listing import list_runs, read_listed
-from deepbots_cli.learning.run import RunRecord
+from deepbots_cli.learning.records import RunRecord
 from deepbots_cli.learning.study import (
     SeedScore,
     Study,

@@ -19,7 +19,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from deepbots_cli.cli import main
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.curriculum import CompletedStage
-from deepbots_cli.learning.run import FORMAT, RunRecord, RunResult, write_record
+from deepbots_cli.learning.records import FORMAT, RunRecord, RunResult, write_record
 from deepbots_cli.view import plots
 from deepbots_cli.view.panel import training_rows
 

@@ -14,7 +14,7 @@ from deepbots_cli.cli import processes, records, terminal
 from deepbots_cli.cli.command import ADVANCED, MAX_SEED, ClusterAddress, Json, Workers, integer, option
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions
-from deepbots_cli.learning.run import RunRecord, changed_settings, short_settings
+from deepbots_cli.learning.records import RunRecord, changed_settings, short_settings
 
 if TYPE_CHECKING:
     from deepbots_cli.analysis.changes import Meanings

@@ -21,7 +21,7 @@ from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
 if TYPE_CHECKING:
     from deepbots_cli.insight.trace import Trace
     from deepbots_cli.insight.training import TrainingEvidence
-    from deepbots_cli.learning.run import EvaluationWithEpisodes
+    from deepbots_cli.learning.records import EvaluationWithEpisodes
 
 
 FAILED_EPISODES = "failed"

@@ -36,9 +36,9 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import check_output
-from deepbots_cli.learning import report
 from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.run import ModelRef, Run, in_parentheses
+from deepbots_cli.learning.records import in_parentheses
+from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.program.identity import task_digest
 from deepbots_cli.rollout.source import Source, SourceKind
 
@@ -372,7 +372,7 @@ class _EngineEvaluations:
     def as_json(self) -> dict[str, Any]:
         return {
             **records.evaluation_json(self.result, self.cases),
-            "baselines": list(map(report.to_json, self.baselines)),
+            "baselines": [each.model_dump(mode="json") for each in self.baselines],
         }
 
     def lines(self, *, details: bool) -> Iterator[str]:

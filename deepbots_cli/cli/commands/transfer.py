@@ -32,7 +32,6 @@ from deepbots_cli.cli.tables import table
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.rollout.source import Source, SourceKind
 
@@ -353,7 +352,7 @@ def _data(compared: Transfer) -> dict[str, Any]:
     return {
         "run": compared.run,
         "worlds": [
-            {"name": name, **to_json(result)}
+            {"name": name, **result.model_dump()}
             for name, result in zip(compared.names, (compared.here, compared.there), strict=True)
         ],
         "differences": [each._asdict() for each in compared.comparison.differences],
