@@ -29,20 +29,27 @@ class Deployment:
         self._program = program
         self._signals = {signal.name: signal for signal in program.signals}
         self._parameters = {value.name for value in program.parameters}
-        self._fields = {f"{robot.name}.{entry.name}": (robot, entry) for robot in program.robots for entry in robot.emitted}
+        self._fields = {
+            f"{robot.name}.{entry.name}": (robot, entry)
+            for robot in program.robots
+            for entry in robot.emitted
+        }
         self._roots = {f"{body.name}.{body.model.root}": body.name for body in program.world.robots}
-        self.joints = {f"{body.name}.{joint.name}": joint for body in program.world.robots for joint in body.model.joints}
+        self.joints = {
+            f"{body.name}.{joint.name}": joint for body in program.world.robots for joint in body.model.joints
+        }
 
     @cached_property
     def sensed(self) -> Mapping[EngineRead, tuple[Robot, Sensor, int]]:
-        """The readings that are a component of a sensor without faults: robot, sensor and the index of the component."""
-        found: dict[EngineRead, tuple[Robot, Sensor, int]] = {}
+        """The readings that are a component of a sensor without faults: robot, sensor and the index of the
+        component."""
+        sensors: dict[EngineRead, tuple[Robot, Sensor, int]] = {}
         for robot in self._program.robots:
             for sensor in robot.sensors if self._program.is_direct(robot, "from_robot") else ():
                 for index, component in enumerate(sensor.components or (None,)):
                     if sensor.is_direct:
-                        found.setdefault(sensor.world_value(robot.name, component), (robot, sensor, index))
-        return found
+                        sensors.setdefault(sensor.world_value(robot.name, component), (robot, sensor, index))
+        return sensors
 
     def subjects(self, read: EngineRead) -> tuple[str, ...]:
         """The parts of the world that a reading is about; a robot for its root link."""
@@ -53,23 +60,40 @@ class Deployment:
         return f"{read.function}({', '.join(self.subjects(read))})"
 
     def is_measured(self, read: EngineRead) -> bool:
-        """Whether the robot measures it: the age of its messages, or a joint of which it has a sensor of this kind."""
+        """Whether the robot measures it: the age of its messages, or a joint of which it has a sensor of this
+        kind."""
         if read.function in _OF_CHANNEL or read in self.sensed:
             return True
         joint = self.joints.get(read.subjects[0])
-        robot = next((robot for robot in self._program.robots if robot.name == read.subjects[0].partition(".")[0]), None)
+        robot = next(
+            (robot for robot in self._program.robots if robot.name == read.subjects[0].partition(".")[0]),
+            None,
+        )
         sensors = robot.sensors if robot is not None and joint is not None else ()
-        return any(sensor.kind == read.function and joint is not None and joint.name in sensor.subjects for sensor in sensors)
+        return any(
+            sensor.kind == read.function and joint is not None and joint.name in sensor.subjects
+            for sensor in sensors
+        )
 
     @cached_property
     def unmeasured(self) -> tuple[str, ...]:
         """The readings that a tracker or an estimator must supply, in order of first use."""
-        return tuple(dict.fromkeys(self.name(read) for read in self._leaves if isinstance(read, EngineRead) and not self.is_measured(read)))
+        return tuple(
+            dict.fromkeys(
+                self.name(read)
+                for read in self._leaves
+                if isinstance(read, EngineRead) and not self.is_measured(read)
+            )
+        )
 
     @cached_property
     def goals(self) -> tuple[str, ...]:
         """The parameters that somebody must set."""
-        return tuple(dict.fromkeys(leaf.name for leaf in self._leaves if isinstance(leaf, Name) and leaf.name in self._parameters))
+        return tuple(
+            dict.fromkeys(
+                leaf.name for leaf in self._leaves if isinstance(leaf, Name) and leaf.name in self._parameters
+            )
+        )
 
     @cached_property
     def _leaves(self) -> tuple[Name | EngineRead, ...]:
@@ -88,8 +112,14 @@ class Deployment:
             if robot.name in agent.robots:
                 own = {sensor.name for sensor in robot.sensors}
                 sent = {entry.name: entry for entry in robot.receive}
-                leaves = [leaf for command in robot.commands for tree in command.scalars for leaf in walk(tree)]
-                received = [sent[leaf.name] for leaf in leaves if isinstance(leaf, Name) and leaf.name in sent and leaf.name not in own]
+                leaves = [
+                    leaf for command in robot.commands for tree in command.scalars for leaf in walk(tree)
+                ]
+                received = [
+                    sent[leaf.name]
+                    for leaf in leaves
+                    if isinstance(leaf, Name) and leaf.name in sent and leaf.name not in own
+                ]
                 for value in dict.fromkeys(received):
                     yield from value.scalars
 

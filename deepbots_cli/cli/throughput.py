@@ -1,5 +1,5 @@
-"""How many steps per second engines and batches of worlds make, and where the time goes; for `deepbots bench`, and for the note of
-`train` and `new` on a faster engine.
+"""How many steps per second engines and batches of worlds make, and where the time goes; for `deepbots
+bench`, and for the note of `train` and `new` on a faster engine.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ MIN_STEPS = 60
 
 @dataclass(frozen=True)
 class Row:
-    """Medians over the rounds, per step of one world: CPU in us of all, of physics steps and of resets; steps per second by the clock.
+    """Medians over the rounds, per step of one world: CPU in us of all, of physics steps and of resets; steps
+    per second by the clock.
 
     `physics_share` is the share of the physics in the CPU time, `wall_clock_share` that by the clock.
     """
@@ -80,16 +81,27 @@ def counts(text: str, option: str = "--worlds") -> list[int]:
 
 
 def measure(
-    compiled: Compiled, engines: list[str], worlds: list[int], *, steps: int, rounds: int, seed: int, end: float
+    compiled: Compiled,
+    engines: list[str],
+    worlds: list[int],
+    *,
+    steps: int,
+    rounds: int,
+    seed: int,
+    end: float,
 ) -> tuple[list[Row], int]:
-    """Time about `steps` steps of worlds with random actions, resets included, for each engine in turn, `rounds` times.
+    """Time about `steps` steps of worlds with random actions, resets included, for each engine in turn,
+    `rounds` times.
 
-    Returns the rows of the table, and the number of rounds that were measured. A second or later round that would end after `end` (s, as
-    `time.perf_counter`) is left out.
+    Returns the rows of the table, and the number of rounds that were measured. A second or later round that
+    would end after `end` (s, as `time.perf_counter`) is left out.
     """
     cases = [(name, count) for name in engines for count in (worlds if name == BATCH else [1])]
-    found: dict[tuple[str, int], list[Row]] = {case: [] for case in cases}
-    terminal.note(f"measuring {counted_noun(rounds, 'round')} of {steps:,} steps, and at least {MIN_STEPS} of each world of a batch")
+    by_case: dict[tuple[str, int], list[Row]] = {case: [] for case in cases}
+    terminal.note(
+        f"measuring {counted_noun(rounds, 'round')} of {steps:,} steps, and at least {MIN_STEPS} of each"
+        " world of a batch"
+    )
     with terminal.progress("measurements") as show:
         started = time.perf_counter()
         for number in range(rounds):
@@ -99,12 +111,19 @@ def measure(
             started = now
             for place, (name, count) in enumerate(cases):
                 show(number * len(cases) + place, rounds * len(cases))
-                made = _batch(compiled, count, steps, seed) if name == BATCH else _single(compiled, name, steps, seed)
-                found[name, count].append(made)
+                timed = (
+                    _batch(compiled, count, steps, seed)
+                    if name == BATCH
+                    else _single(compiled, name, steps, seed)
+                )
+                by_case[name, count].append(timed)
         show(rounds * len(cases), rounds * len(cases))
     columns = ("steps_per_second", "step_us", "physics_us", "reset_us", "physics_share", "wall_clock_share")
-    rows = [Row(*case, *(median(getattr(row, column) for row in rows) for column in columns)) for case, rows in found.items()]
-    return rows, len(found[cases[0]])
+    rows = [
+        Row(*case, *(median(getattr(row, column) for row in rows) for column in columns))
+        for case, rows in by_case.items()
+    ]
+    return rows, len(by_case[cases[0]])
 
 
 def text(name: str, rows: list[Row], rounds: int) -> str:
@@ -130,7 +149,8 @@ def text(name: str, rows: list[Row], rounds: int) -> str:
 
 @dataclass(frozen=True)
 class FasterEngine:
-    """An engine that steps a world faster than the one in use, in steps of one world per second of CPU time, with random actions."""
+    """An engine that steps a world faster than the one in use, in steps of one world per second of CPU time,
+    with random actions."""
 
     engine: str
     steps_per_second: float
@@ -149,16 +169,24 @@ class FasterEngine:
     def text(self) -> str:
         """What to write, and what changes by it."""
         return (
-            f"{self.engine} steps this world {self.ratio:.1f} times as fast as {self.used} ({self.steps_per_second:,.0f} against "
-            f"{self.used_steps_per_second:,.0f} steps/s). To use it, add the line `engine: {self.engine}` to the section `world`, or give "
+            f"{self.engine} steps this world {self.ratio:.1f} times as fast as {self.used}"
+            f" ({self.steps_per_second:,.0f} against "
+            f"{self.used_steps_per_second:,.0f} steps/s). To use it, add the line `engine: {self.engine}` to"
+            " the section `world`, or give "
             f"--engine {self.engine}. Motion and results may differ; `deepbots transfer RUN` shows how much."
         )
 
 
 def engine_speeds(
-    program: Program, used: str, *, seconds: float = 0.05, seed: int = 0, permissions: Permissions = Permissions()
+    program: Program,
+    used: str,
+    *,
+    seconds: float = 0.05,
+    seed: int = 0,
+    permissions: Permissions = Permissions(),
 ) -> dict[str, float]:
-    """Steps of one world per second of CPU time in the engine `used`, and in our others that are installed and can hold the world.
+    """Steps of one world per second of CPU time in the engine `used`, and in our others that are installed
+    and can hold the world.
 
     Each engine is measured for `seconds` of CPU time; the worlds are built in addition.
     """
@@ -175,14 +203,18 @@ def engine_speeds(
 def faster_engine(speeds: Mapping[str, float], used: str) -> FasterEngine | None:
     """The fastest engine, if it is at least 1.5 times as fast as the engine `used`."""
     best = max(speeds, key=lambda name: speeds[name])
-    found = FasterEngine(best, speeds[best], used, speeds[used])
-    return found if found.ratio >= MIN_RATIO else None
+    faster = FasterEngine(best, speeds[best], used, speeds[used])
+    return faster if faster.ratio >= MIN_RATIO else None
 
 
-def note_faster_engine(program: Program, timesteps: int | None = None, *, permissions: Permissions = Permissions()) -> None:
-    """Say in a line if another engine than the default one is faster, and makes a training at least 30 s of CPU time shorter.
+def note_faster_engine(
+    program: Program, timesteps: int | None = None, *, permissions: Permissions = Permissions()
+) -> None:
+    """Say in a line if another engine than the default one is faster, and makes a training at least 30 s of
+    CPU time shorter.
 
-    This measures for about 0.15 s of CPU time. Nothing is measured for a scenario that names its engine, and for a short training.
+    This measures for about 0.15 s of CPU time. Nothing is measured for a scenario that names its engine, and
+    for a short training.
     """
     training = program.agent.training
     planned = timesteps or (training.total_timesteps if training else 0)
@@ -191,9 +223,9 @@ def note_faster_engine(program: Program, timesteps: int | None = None, *, permis
         return
     used = chosen(None)
     with suppress(DeepbotsError):  # which the command that makes the world reports
-        found = faster_engine(engine_speeds(program, used, permissions=permissions), used)
-        if found and found.seconds_saved(planned) >= MIN_SECONDS_SAVED:
-            terminal.note(f"note: {found.text}")
+        faster = faster_engine(engine_speeds(program, used, permissions=permissions), used)
+        if faster and faster.seconds_saved(planned) >= MIN_SECONDS_SAVED:
+            terminal.note(f"note: {faster.text}")
 
 
 def _speed(program: Program, engine: str, seconds: float, seed: int, permissions: Permissions) -> float:
@@ -253,7 +285,9 @@ def _batch(compiled: Compiled, count: int, steps: int, seed: int) -> Row:
         return _row(BATCH, count, number * count, run, physics, begin)
 
 
-def _row(engine: str, worlds: int, steps: int, run: Callable[[], None], physics: CallTimer, reset: CallTimer) -> Row:
+def _row(
+    engine: str, worlds: int, steps: int, run: Callable[[], None], physics: CallTimer, reset: CallTimer
+) -> Row:
     """Time a run."""
     whole = CallTimer(run)
     whole()

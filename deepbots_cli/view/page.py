@@ -1,4 +1,5 @@
-"""The page: one world or two in the browser, with a panel. One thread owns the environments, steps them and draws 30 times a second.
+"""The page: one world or two in the browser, with a panel. One thread owns the environments, steps them and
+draws 30 times a second.
 
 What people click arrives in threads of viser, and is queued for this one.
 """
@@ -38,7 +39,8 @@ _DEBOUNCE_S = 0.3  # s without a change, after which the value of a parameter co
 
 
 class Page:
-    """A page of a scenario, a run or a recording; `address` is where it is, `run` serves it until it is interrupted.
+    """A page of a scenario, a run or a recording; `address` is where it is, `run` serves it until it is
+    interrupted.
 
     `playback` has the worlds, the episode and the time.
     """
@@ -66,8 +68,9 @@ class Page:
     ) -> None:
         """Compile the source and start the server; `playing` makes a page to drive by hand, with a score.
 
-        With `compare`, both worlds stand side by side, and begin each episode from the same seed. Of a batch, `world` is shown. With
-        `playing`, the episodes that a person drives are recorded in `output`. The page gets `frame_rate` pictures per second.
+        With `compare`, both worlds stand side by side, and begin each episode from the same seed. Of a batch,
+        `world` is shown. With `playing`, the episodes that a person drives are recorded in `output`. The page
+        gets `frame_rate` pictures per second.
 
         Raises:
             UsageError, RunError: There is no such source or driver, or the address cannot be used.
@@ -92,7 +95,11 @@ class Page:
         if playing and opened.recording is not None:
             raise UsageError(f"`play` does not accept a recording; use: deepbots view {source.reference}")
         self.server, self.address = server.serve(
-            host, port, f"deepbots {source.reference}", lambda keys, axes: self.playback.manual_input.hold(keys, axes), writes=playing
+            host,
+            port,
+            f"deepbots {source.reference}",
+            lambda keys, axes: self.playback.manual_input.hold(keys, axes),
+            writes=playing,
         )
         self._cameras = SceneCameras(self.server, self._tasks.put)
         set_theme(self.server.gui, dark=False)
@@ -142,7 +149,8 @@ class Page:
     # What is shown
 
     def _show(self, opened: ShowingState) -> None:
-        """Show a source as it is now: its world from the beginning of the present episode, or else its findings over the world before."""
+        """Show a source as it is now: its world from the beginning of the present episode, or else its
+        findings over the world before."""
         if opened.program is None:
             findings = html.escape(render(opened.findings, "full", width=46))
             style = "white-space:pre-wrap;font-size:0.75em;line-height:1.35"
@@ -152,7 +160,11 @@ class Page:
         # A script may go while it acts.
         wanted = playback.driver if self.player is None or playback.driver in opened.drivers else None
         name = wanted or (HAND if playback.by_hand else None)
-        rival = next((each for each in opened.drivers if each not in (RANDOM, ZERO, HAND)), None) if playback.by_hand else None
+        rival = (
+            next((each for each in opened.drivers if each not in (RANDOM, ZERO, HAND)), None)
+            if playback.by_hand
+            else None
+        )
         players = [opened.player(name)]
         try:
             if self._compare is not None:
@@ -200,12 +212,16 @@ class Page:
         size = self._cameras.aim(boxes)
         for number, each in enumerate(players):
             root = f"/world{number or ''}"
-            world = WorldScene(scene, each.env.world, each.reader.layout, size=size, root=root, place=scaled(right, number))
+            world = WorldScene(
+                scene, each.env.world, each.reader.layout, size=size, root=root, place=scaled(right, number)
+            )
             reference = each.opened.shown.reference.rstrip("/")
             title = f"{'AB'[number]}: {reference.rpartition('/')[2]}" if len(players) > 1 else ""
             playback.worlds.append(ShownWorld(each, world, title))
             if title:
-                scene.add_label(f"{root}/title", title, position=(0.0, 0.0, 0.3 * size), font_size_mode="screen")
+                scene.add_label(
+                    f"{root}/title", title, position=(0.0, 0.0, 0.3 * size), font_size_mode="screen"
+                )
         if controls == self._controls:
             self.panel.show.apply()
             return
@@ -260,14 +276,16 @@ class Page:
                 checked = time.monotonic()
                 if (now := file_stamps(self._files)) != self._file_stamps:
                     self._run_or_stop(self._reload)
-                    self._file_stamps = file_stamps(self._files) | {
-                        file: now[file] for file in self._files if file in now
-                    }  # not what came meanwhile
+                    before = {file: now[file] for file in self._files if file in now}
+                    self._file_stamps = file_stamps(self._files) | before  # not what came meanwhile
             if self._changed_at and time.monotonic() - self._changed_at > _DEBOUNCE_S:
                 self._changed_at = 0.0
                 self._run_or_stop(self._reload)
-            if self.player is not None and self.server.get_clients():  # while nobody looks, the world stands still
-                self._run_or_stop(lambda: self.playback.advance(period, continues=self.panel.show.continues.value))
+            # While nobody looks, the world stands still.
+            if self.player is not None and self.server.get_clients():
+                self._run_or_stop(
+                    lambda: self.playback.advance(period, continues=self.panel.show.continues.value)
+                )
                 self._draw(texts=drawn % FRAMES_PER_TEXT == 0)
             drawn, due = drawn + 1, max(due + period, time.perf_counter() - MAX_STEPPING_S)
             time.sleep(max(0.0, due - time.perf_counter()))

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.run import Run, RunRecord
+from deepbots_cli.learning.records import RunRecord
+from deepbots_cli.learning.run import Run
 from deepbots_cli.runtime.overview import follows_robot
 from deepbots_cli.view import panel_html, plots
 from deepbots_cli.view.episodes import Player
@@ -29,7 +30,9 @@ if TYPE_CHECKING:
 
 _TRAINING_INTERVAL_S = 20.0  # s, after which the logs of a training are read again
 _MAX_SERIES = 8
-_NUMBER_WITH_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s+(.*)|(%|[a-zA-Z].*)?)\s*")
+_NUMBER_WITH_UNIT = re.compile(
+    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s+(.*)|(%|[a-zA-Z].*)?)\s*"
+)
 """A number with its unit."""
 
 PlottedValue = Callable[[AgentFrame], float]
@@ -58,8 +61,11 @@ class Panel:
         plots, training, show: Tabs; `training` is None for other sources than runs.
     """
 
-    def __init__(self, gui: viser.GuiApi, playback: Playback, queue: Queue, on_parameter: Callable[[str, str], None]) -> None:
-        """Add the controls. `queue` runs what people do in the thread of the page; `on_parameter` takes a name and its new value."""
+    def __init__(
+        self, gui: viser.GuiApi, playback: Playback, queue: Queue, on_parameter: Callable[[str, str], None]
+    ) -> None:
+        """Add the controls. `queue` runs what people do in the thread of the page; `on_parameter` takes a
+        name and its new value."""
         self._gui, self._playback, self._queue = gui, playback, queue
         worlds, player = playback.worlds, playback.worlds[0].player
         self._agents = {
@@ -79,7 +85,9 @@ class Panel:
         if not isinstance(player, ReplayPlayer):
             drive = {"Drive": partial(add_drive, gui, playback, queue)}
             tabs = drive | tabs if playback.by_hand else tabs | drive
-        if player.opened.parameters and len(worlds) == 1 and playback.driven is None:  # a recording has one scenario
+        if (
+            player.opened.parameters and len(worlds) == 1 and playback.driven is None
+        ):  # a recording has one scenario
             tabs["Parameters"] = partial(add_parameters, gui, player.opened.parameters, on_parameter)
         if player.opened.run is not None:
             tabs["Training"] = partial(TrainingTab, gui, player.opened.run)
@@ -94,7 +102,12 @@ class Panel:
         self.training: TrainingTab | None = contents.get("Training")
         self.show: ShowTab = contents["Show"]
         self._cameras: dict[str, Any] = {}
-        if any(sensor.optics for world in worlds for robot in world.player.program.robots for sensor in robot.sensors):
+        if any(
+            sensor.optics
+            for world in worlds
+            for robot in world.player.program.robots
+            for sensor in robot.sensors
+        ):
             self._camera_folder = gui.add_folder("Cameras")
 
     def _add_time(self, player: Player) -> None:
@@ -105,7 +118,9 @@ class Panel:
             "reset": playback.begin,
             "next": lambda: playback.begin(1),
         }
-        buttons = gui.add_button_group("time", tuple(acts), hint="pause or continue; one step; restart this episode; next episode")
+        buttons = gui.add_button_group(
+            "time", tuple(acts), hint="pause or continue; one step; restart this episode; next episode"
+        )
         buttons.on_click(lambda event: queue(acts[event.target.value]))
         for name, key in {"pause": "space", "step": "N", "reset": "B"}.items():  # keys that do not drive
             gui.add_command(name, hotkey=key).on_trigger(lambda _, name=name: queue(acts[name]))
@@ -114,7 +129,12 @@ class Panel:
             self.slider.on_update(self._scrub)
         if player.worlds > 1:
             world = gui.add_slider(
-                "world", min=0, max=player.worlds - 1, step=1, initial_value=playback.batch_world, hint="world of the batch"
+                "world",
+                min=0,
+                max=player.worlds - 1,
+                step=1,
+                initial_value=playback.batch_world,
+                hint="world of the batch",
             )
             world.on_update(lambda _: queue(lambda: playback.choose_world(int(world.value))))
         speed = gui.add_slider("speed", min=0.1, max=5.0, step=0.1, initial_value=playback.speed)
@@ -167,7 +187,10 @@ class Panel:
         player = playback.worlds[agent.world].player
         layout, frame = player.reader.layout, player.frame
         others = frame.agents.keys() - {agent.name}
-        rows = [*panel_html.agent_rows(layout, frame.agents[agent.name]), *panel_html.message_rows(layout, frame, others)]
+        rows = [
+            *panel_html.agent_rows(layout, frame.agents[agent.name]),
+            *panel_html.message_rows(layout, frame, others),
+        ]
         self.values.content = panel_html.table(rows)
         if self.slider is not None:
             self.slider.value = min(player.frame.step, self.slider.max)
@@ -177,9 +200,14 @@ class Panel:
         playback, world = self._playback, self._playback.worlds[number]
         player, frame = world.player, world.player.frame
         agent = self._agent.of(frame)
-        state = (frame.ending or ("press a key to begin" if playback.waiting else "running")) + (" (paused)" if playback.paused else "")
+        state = (frame.ending or ("press a key to begin" if playback.waiting else "running")) + (
+            " (paused)" if playback.paused else ""
+        )
         state = f"{world.title}: {state}" if world.title else state
-        color = ("#009E73" if frame.is_success else "#E69F00" if frame.truncated else "#D55E00") if frame.ended_by else "#0072B2"
+        color = "#0072B2"
+        if frame.ended_by:
+            unsuccessful = "#E69F00" if frame.truncated else "#D55E00"
+            color = "#009E73" if frame.is_success else unsuccessful
         total = "" if player.reader.layout.of_robot else f", return {agent.episode_return:.2f}"
         numbers = f"episode {playback.episode + player.world}, step {frame.step}, {frame.time:.2f} s{total}"
         note = f"<br>{html.escape(player.note)}" if player.note else ""
@@ -194,7 +222,9 @@ class Panel:
         if playback.rival is not None:
             rival = playback.rival.frame
             state = f" ({rival.ending} after {rival.time:.1f} s)" if rival.ended_by else ""
-            lines.append(f"{playback.rival.driver_name}: {rival.agents[self._agent.name].episode_return:.2f}{state}")
+            lines.append(
+                f"{playback.rival.driver_name}: {rival.agents[self._agent.name].episode_return:.2f}{state}"
+            )
         if playback.driven is not None:
             lines.append(playback.driven.note)
         return "".join(f"<br>{html.escape(line)}" for line in lines)
@@ -211,7 +241,8 @@ def _enlarged(image: Image) -> Image:
 
 
 class Plot(NamedTuple):
-    """A plot over the step, with a line for each value of each world (None for the world of the chosen agent)."""
+    """A plot over the step, with a line for each value of each world (None for the world of the chosen
+    agent)."""
 
     handle: Any
     values: Sequence[PlottedValue]
@@ -219,15 +250,21 @@ class Plot(NamedTuple):
 
 
 class PlotsTab:
-    """Plots of the return, of the reward terms, and of a field that a person chooses; of the log of a robot, of its own fields."""
+    """Plots of the return, of the reward terms, and of a field that a person chooses; of the log of a robot,
+    of its own fields."""
 
-    def __init__(self, gui: viser.GuiApi, worlds: Sequence[ShownWorld], agent: ChosenAgent, queue: Queue) -> None:
+    def __init__(
+        self, gui: viser.GuiApi, worlds: Sequence[ShownWorld], agent: ChosenAgent, queue: Queue
+    ) -> None:
         self._gui = gui
         layout = worlds[agent.world].player.reader.layout
         fields: dict[str, list[tuple[PlottedField, PlottedValue]]] = {}
         for number, each in enumerate(layout.observation):
             fields.setdefault(each.group, []).append((each, partial(_observation_value, number, each)))
-        fields |= {f"action: {each.name}": [(each, partial(_action_value, number, each))] for number, each in enumerate(layout.action)}
+        fields |= {
+            f"action: {each.name}": [(each, partial(_action_value, number, each))]
+            for number, each in enumerate(layout.action)
+        }
         self._plots: dict[str, Plot] = {}
         for group in layout.of_robot:
             gui.add_html(panel_html.heading(group))
@@ -235,7 +272,9 @@ class PlotsTab:
         if not layout.of_robot:
             names = [world.title or "return" for world in worlds]
             gui.add_html(panel_html.heading("return"))
-            self._plots["return"] = self._add_plot(names, 150, [lambda agent: agent.episode_return], range(len(worlds)))
+            self._plots["return"] = self._add_plot(
+                names, 150, [lambda agent: agent.episode_return], range(len(worlds))
+            )
             gui.add_html(panel_html.heading("reward terms"))
             terms = layout.terms[:_MAX_SERIES]
             self._plots["terms"] = self._add_plot(terms, 200, [partial(_term_value, term) for term in terms])
@@ -254,8 +293,16 @@ class PlotsTab:
 
     def _add_fields(self, fields: Sequence[tuple[PlottedField, PlottedValue]]) -> Plot:
         """An empty plot of the first of these numbers, over their range."""
-        limits = min(field.to_shown(field.low) for field, _ in fields), max(field.to_shown(field.high) for field, _ in fields)
-        return self._add_plot([f.label for f, _ in fields[:_MAX_SERIES]], 220, [value for _, value in fields[:_MAX_SERIES]], limits=limits)
+        limits = (
+            min(field.to_shown(field.low) for field, _ in fields),
+            max(field.to_shown(field.high) for field, _ in fields),
+        )
+        return self._add_plot(
+            [f.label for f, _ in fields[:_MAX_SERIES]],
+            220,
+            [value for _, value in fields[:_MAX_SERIES]],
+            limits=limits,
+        )
 
     def _add_plot(
         self,
@@ -266,14 +313,18 @@ class PlotsTab:
         limits: tuple[float, float] | None = None,
     ) -> Plot:
         """An empty plot with a named line for each value of each world."""
-        lines = [{"label": name, "stroke": color, "width": 1.5} for name, color in zip(names, COLORS, strict=False)]
+        lines = [
+            {"label": name, "stroke": color, "width": 1.5} for name, color in zip(names, COLORS, strict=False)
+        ]
         scales: dict[str, Any] = {"x": {"time": False}}  # steps would be shown as dates
         if limits is not None:
             margin = 0.03 * (limits[1] - limits[0]) or 1.0
             scales["y"] = {"range": (limits[0] - margin, limits[1] + margin)}
         series: Any = ({"label": "step"}, *lines)
         room = (12, 8, 0, 0)  # px, above for the uppermost number
-        handle = self._gui.add_uplot((np.zeros(1),) * len(series), series, scales=scales, height=height, padding=room)
+        handle = self._gui.add_uplot(
+            (np.zeros(1),) * len(series), series, scales=scales, height=height, padding=room
+        )
         return Plot(handle, values, worlds)
 
     def draw(self, worlds: Sequence[ShownWorld], agent: ChosenAgent) -> None:
@@ -282,7 +333,11 @@ class PlotsTab:
         for plot in self._plots.values():
             lanes = [pasts[number] for number in plot.worlds or [agent.world]]
             steps = sorted(set[int]().union(*lanes))
-            rows = [[value(lane[step]) if step in lane else math.nan for step in steps] for lane in lanes for value in plot.values]
+            rows = [
+                [value(lane[step]) if step in lane else math.nan for step in steps]
+                for lane in lanes
+                for value in plot.values
+            ]
             plot.handle.data = (np.array(steps, float), *map(np.array, rows))
 
 
@@ -314,9 +369,13 @@ class TrainingTab:
             record = RunRecord.read(run.path)
             episodes, evaluations = plots.logs_of(run.path)
         except RunError as error:
-            self.text.content = panel_html.notice("the training cannot be shown", html.escape(str(error)), "#D55E00")
+            self.text.content = panel_html.notice(
+                "the training cannot be shown", html.escape(str(error)), "#D55E00"
+            )
             return
-        rows = panel_html.training_rows(plots.stage_starts(record, episodes), evaluations, success=run.program.defines_success)
+        rows = panel_html.training_rows(
+            plots.stage_starts(record, episodes), evaluations, success=run.program.defines_success
+        )
         self.text.content = panel_html.table(rows)
         if record.status == "running":
             self._read_at = time.monotonic()
@@ -327,8 +386,14 @@ class ShowTab:
 
     def __init__(self, gui: viser.GuiApi, playback: Playback, queue: Queue) -> None:
         self._playback, first = playback, playback.worlds[0]
-        useless = set() if any(world.player.shortest_paths() for world in playback.worlds) else {"shortest path"}
-        self._switches = {what: gui.add_checkbox(what, on) for what, on in first.scene.visible_parts.items() if what not in useless}
+        useless = (
+            set() if any(world.player.shortest_paths() for world in playback.worlds) else {"shortest path"}
+        )
+        self._switches = {
+            what: gui.add_checkbox(what, on)
+            for what, on in first.scene.visible_parts.items()
+            if what not in useless
+        }
         for what, box in self._switches.items():
             box.on_update(lambda event, what=what: queue(lambda: self._set_visible(what, event.target.value)))
         self.follows = gui.add_checkbox("camera follows the robot", follows_robot(first.player.env.world))
@@ -347,10 +412,14 @@ class ShowTab:
 
 
 def set_theme(gui: viser.GuiApi, *, dark: bool) -> None:
-    gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=dark)  # sharing sends the scene to a public host
+    gui.configure_theme(
+        show_logo=False, show_share_button=False, dark_mode=dark
+    )  # sharing sends the scene to a public host
 
 
-def add_parameters(gui: viser.GuiApi, parameters: Mapping[str, str], on_change: Callable[[str, str], None]) -> None:
+def add_parameters(
+    gui: viser.GuiApi, parameters: Mapping[str, str], on_change: Callable[[str, str], None]
+) -> None:
     """A slider for each number, and a text for each other value."""
     for name, text in parameters.items():
         number = _NUMBER_WITH_UNIT.fullmatch(text)
@@ -360,11 +429,15 @@ def add_parameters(gui: viser.GuiApi, parameters: Mapping[str, str], on_change: 
             continue
         value, unit = float(number[1]), number[2] or number[3] or ""
         low, high = sorted((0.0, 2 * value)) if value else (-1.0, 1.0)
-        slider = gui.add_slider(f"{name} ({unit})" if unit else name, min=low, max=high, step=(high - low) / 200, initial_value=value)
+        slider = gui.add_slider(
+            f"{name} ({unit})" if unit else name,
+            min=low,
+            max=high,
+            step=(high - low) / 200,
+            initial_value=value,
+        )
         slider.on_update(lambda event, n=name, u=unit: on_change(n, f"{event.target.value:.6g} {u}".strip()))
-    gui.add_html(
-        "<div style='padding:0.3em 1em;font-size:0.85em'>A change restarts the episode with the new value and the same seed.</div>"
-    )
+    gui.add_html(panel_html.hint("A change restarts the episode with the new value and the same seed."))
 
 
 def add_drive(gui: viser.GuiApi, playback: Playback, queue: Queue) -> None:
@@ -374,9 +447,12 @@ def add_drive(gui: viser.GuiApi, playback: Playback, queue: Queue) -> None:
     def command(name: str, value: float) -> None:
         playback.manual_input.base_values[name], playback.waiting = float(value), False
 
-    gui.add_html(f"<div style='padding:0.3em 1em;font-size:0.85em'>Keys: {html.escape(hand.help())}. A gamepad works too.</div>")
+    gui.add_html(panel_html.hint(f"Keys: {hand.help()}. A gamepad works too."))
     if playback.by_hand and playback.driven is None:
-        keep = gui.add_button("record this episode", hint="write the episode so far as a recording (.mcap) into the current folder")
+        keep = gui.add_button(
+            "record this episode",
+            hint="write the episode so far as a recording (.mcap) into the current folder",
+        )
         keep.on_click(lambda event: queue(lambda: _record(playback, event.client)))
     for field in playback.worlds[0].player.reader.layout.action:
         if field.options:
@@ -384,7 +460,9 @@ def add_drive(gui: viser.GuiApi, playback: Playback, queue: Queue) -> None:
             group.on_click(lambda event, f=field: command(f.name, f.options.index(event.target.value)))
         else:
             low, high, value = map(field.to_shown, (field.low, field.high, hand.base_values[field.name]))
-            slider = gui.add_slider(field.label, min=low, max=high, step=(high - low) / 200, initial_value=value)
+            slider = gui.add_slider(
+                field.label, min=low, max=high, step=(high - low) / 200, initial_value=value
+            )
             slider.on_update(lambda event, f=field: command(f.name, f.from_shown(event.target.value)))
     for name, bindings in list(hand.bindings.items())[:2]:
         for keys, sign in ((bindings[0].positive_keys, "+"), (bindings[0].negative_keys, "−")):
@@ -399,6 +477,8 @@ def _record(playback: Playback, client: Any) -> None:
     if client is None:
         return
     if path is None:
-        client.add_notification("not recorded", f"this page has written {MAX_RECORDINGS} recordings; start `deepbots play` again")
+        client.add_notification(
+            "not recorded", f"this page has written {MAX_RECORDINGS} recordings; start `deepbots play` again"
+        )
     else:
         client.add_notification(f"{path} written", f"deepbots view {path}", loading=False)

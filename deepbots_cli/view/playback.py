@@ -24,7 +24,8 @@ MAX_PLOTTED_STEPS = 600  # steps in a plot
 MAX_STEPPING_S = 0.1
 """Seconds; a world that is slower than real time still answers."""
 MAX_RECORDINGS = 100
-"""What one page writes: a person drives for hours until then, and a program that presses the button does not fill the disk."""
+"""What one page writes: a person drives for hours until then, and a program that presses the button does not
+fill the disk."""
 _PAUSE_AT_END_S = 1.5  # s of real time between the end of an episode and the next
 
 
@@ -85,7 +86,8 @@ class Playback:
         on_begin: Callable[[], None],
         on_change: Callable[[], None],
     ) -> None:
-        """`by_hand` is for a person who drives; `on_begin` is called with each episode, `on_change` with other changes of the state."""
+        """`by_hand` is for a person who drives; `on_begin` is called with each episode, `on_change` with
+        other changes of the state."""
         self.worlds: list[ShownWorld] = []
         self.rival: Player | None = None
         self.driver, self.by_hand = driver, by_hand
@@ -208,8 +210,11 @@ class Playback:
         self._on_change()
 
     def advance(self, period: float, *, continues: bool) -> None:
-        """Make the steps of the next `period` (s of real time); after the end, begin the next episode if it `continues`."""
-        self.waiting = self.waiting and self.worlds[0].player.driver_name == HAND and not self.manual_input.is_held
+        """Make the steps of the next `period` (s of real time); after the end, begin the next episode if it
+        `continues`."""
+        self.waiting = (
+            self.waiting and self.worlds[0].player.driver_name == HAND and not self.manual_input.is_held
+        )
         if self.paused or self.waiting:
             return
         if self.ended_at:

@@ -1,9 +1,10 @@
 """`deepbots bench`: the time of an environment step beside the physics alone.
 
-A pair of measurements runs the same episodes twice with the same seeds: once through `env.step`, and once through the step of the engine
-in a second environment after the same reset. Each episode repeats one random action. The first steps of each episode run through
-`env.step` on both sides, so that the motors are driven and both sides have the same motion and contacts. First steps and resets are not
-timed. Times are CPU times of the process, and the two sides alternate in order.
+A pair of measurements runs the same episodes twice with the same seeds: once through `env.step`, and once
+through the step of the engine in a second environment after the same reset. Each episode repeats one random
+action. The first steps of each episode run through `env.step` on both sides, so that the motors are driven
+and both sides have the same motion and contacts. First steps and resets are not timed. Times are CPU times of
+the process, and the two sides alternate in order.
 """
 
 from __future__ import annotations
@@ -45,24 +46,36 @@ if TYPE_CHECKING:
 LIMIT_S = 20.0
 """Seconds by the clock that a measurement takes by default."""
 WARM_UP_STEPS = 3
-"""Number of steps at the start of an episode that are not timed; delayed commands have then reached the motors."""
+"""Number of steps at the start of an episode that are not timed; delayed commands have then reached the
+motors."""
 
 
 def command(
     scenario: Scenario,
     overrides: Overrides = None,
     steps: Annotated[
-        int | None, integer("--steps N", "Steps per measurement; by default as many as fit into 20 s, at most 2,000.", 100, group=ADVANCED)
+        int | None,
+        integer(
+            "--steps N",
+            "Steps per measurement; by default as many as fit into 20 s, at most 2,000.",
+            100,
+            group=ADVANCED,
+        ),
     ] = None,
     pairs: Annotated[
         int | None,
-        integer("--pairs N", "Number of pairs of measurements, one with and one without the environment; 5 by default.", group=ADVANCED),
+        integer(
+            "--pairs N",
+            "Number of pairs of measurements, one with and one without the environment; 5 by default.",
+            group=ADVANCED,
+        ),
     ] = None,
     quick: Annotated[
         bool,
         option(
             "--quick",
-            "Measure only 3 pairs (see --pairs) of 600 steps. With several engines or `batch`, measure each once instead of three times.",
+            "Measure only 3 pairs (see --pairs) of 600 steps. With several engines or `batch`, measure each"
+            " once instead of three times.",
         ),
     ] = False,
     seed: Seed = 0,
@@ -70,7 +83,8 @@ def command(
         str | None,
         option(
             "--engine NAME[,NAME]",
-            "Physics engine; by default that of the scenario. Several, with commas between, are compared. `batch` steps many"
+            "Physics engine; by default that of the scenario. Several, with commas between, are compared."
+            " `batch` steps many"
             " worlds in MuJoCo.",
         ),
     ] = None,
@@ -78,29 +92,35 @@ def command(
         str | None,
         option(
             "--shards N,N",
-            "Measure a training with these numbers of shards on processes of this machine, such as 1,2,4; one shard runs without them.",
+            "Measure a training with these numbers of shards on processes of this machine, such as 1,2,4;"
+            " one shard runs without them.",
         ),
     ] = None,
     workers: Workers = None,
     address: ClusterAddress = None,
-    worlds: Annotated[str | None, option("--worlds N,N", "With `batch`, how many worlds; 1,16,64,256 by default.", ADVANCED)] = None,
+    worlds: Annotated[
+        str | None, option("--worlds N,N", "With `batch`, how many worlds; 1,16,64,256 by default.", ADVANCED)
+    ] = None,
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
     """Measure how long a step takes, and the physics in it.
 
-    The command runs the same episodes twice in the same engine: with full environment steps, and with the physics alone. It prints a ratio:
-    the time of an environment step divided by the time of its physics. The difference is the cost of messages, observation, reward and
-    endings. Resets are not timed. If another engine steps this world at least 1.5 times as fast, a line names it.
+    The command runs the same episodes twice in the same engine: with full environment steps, and with the
+    physics alone. It prints a ratio: the time of an environment step divided by the time of its physics. The
+    difference is the cost of messages, observation, reward and endings. Resets are not timed. If another
+    engine steps this world at least 1.5 times as fast, a line names it.
 
-    With several engines, or with `--engine batch` (many worlds in MuJoCo), resets are timed too, actions are random, and a table says
-    where the time goes.
+    With several engines, or with `--engine batch` (many worlds in MuJoCo), resets are timed too, actions are
+    random, and a table says where the time goes.
 
-    --shards trains for a few seconds with each number of shards, and prints steps per second and where the time goes: steps of the worlds,
-    the policy, transfer between the processes, waiting for the slowest one, and updates. Efficiency is the gain in speed per process.
+    --shards trains for a few seconds with each number of shards, and prints steps per second and where the
+    time goes: steps of the worlds, the policy, transfer between the processes, waiting for the slowest one,
+    and updates. Efficiency is the gain in speed per process.
 
-    By default, the measurement takes at most 20 s. With several engines, each is measured at least once, even if that takes more than
-    20 s. With --steps or --pairs, this limit does not apply. Larger numbers take longer, and the ratio varies less between measurements.
+    By default, the measurement takes at most 20 s. With several engines, each is measured at least once, even
+    if that takes more than 20 s. With --steps or --pairs, this limit does not apply. Larger numbers take
+    longer, and the ratio varies less between measurements.
 
     \b
       deepbots bench cartpole
@@ -119,10 +139,17 @@ def command(
         if several:
             raise UsageError("--shards measures a training with one engine; name one with --engine")
         others = {"--steps": steps, "--pairs": pairs, "--quick": quick or None}
-        if given := [name for name, value in others.items() if value is not None]:
-            raise UsageError(f"--shards and {given[0]} cannot be combined")
+        if present := [name for name, value in others.items() if value is not None]:
+            raise UsageError(f"--shards and {present[0]} cannot be combined")
         _bench_shards(
-            scenario, with_engine(overrides, engine), shards, workers, address, seed=seed, as_json=as_json, permissions=permissions
+            scenario,
+            with_engine(overrides, engine),
+            shards,
+            workers,
+            address,
+            seed=seed,
+            as_json=as_json,
+            permissions=permissions,
         )
         return
     if workers is not None or address is not None:
@@ -134,7 +161,9 @@ def command(
         rounds = pairs or (1 if quick else 3)
         numbers = throughput.counts(worlds or "1,16,64,256")
         end = math.inf if steps or pairs else time.perf_counter() + LIMIT_S
-        rows, rounds = throughput.measure(compiled, names, numbers, steps=steps or 2000, rounds=rounds, seed=seed, end=end)
+        rows, rounds = throughput.measure(
+            compiled, names, numbers, steps=steps or 2000, rounds=rounds, seed=seed, end=end
+        )
         terminal.show(rows, throughput.text(compiled.program.name, rows, rounds), as_json=as_json)
         return
     began, cpu_began = time.perf_counter(), time.process_time()
@@ -146,20 +175,28 @@ def command(
         pairs = pairs or (3 if quick else 5)
         share_of_cpu = (time.process_time() - cpu_began) / (time.perf_counter() - began)
         steps = steps or (600 if quick else _affordable_steps(speeds[used] * share_of_cpu, pairs))
-        longer = "; --pairs 9 --steps 2000 takes longer, and differs less between measurements" if open_ended else ""
+        longer = (
+            "; --pairs 9 --steps 2000 takes longer, and differs less between measurements"
+            if open_ended
+            else ""
+        )
         terminal.note(f"measuring {pairs} pairs of {steps:,} steps{longer}")
         end = began + LIMIT_S if open_ended else math.inf
         with terminal.progress("measurements") as show:
-            result = measure(environment, bare, steps=steps, pairs=pairs, seed=seed, on_measured=show, end=end)
+            result = measure(
+                environment, bare, steps=steps, pairs=pairs, seed=seed, on_measured=show, end=end
+            )
     measured = counted_noun(result.pairs, "pair")
     text = {
         "environment step": f"{result.step_us:.2f} us, {result.steps_per_second:,.0f} per second",
         "physics alone": f"{result.bare_us:.2f} us",
-        "ratio": f"{result.ratio:.3f} (median of the ratios of the pairs; min {result.min_ratio:.3f}, max {result.max_ratio:.3f})",
+        "ratio": f"{result.ratio:.3f} (median of the ratios of the pairs; min {result.min_ratio:.3f}, max"
+        f" {result.max_ratio:.3f})",
     }
     terminal.show(
         {**vars(result), "faster_engine": faster},
-        f"{result.scenario} on {result.engine}, {result.format} messages; medians of {measured} of {result.steps:,} steps",
+        f"{result.scenario} on {result.engine}, {result.format} messages; medians of {measured} of"
+        f" {result.steps:,} steps",
         row_as_lines(text),
         *([] if faster is None else [faster.text]),
         as_json=as_json,
@@ -179,13 +216,18 @@ def _bench_shards(
 ) -> None:
     """Measure trainings with several numbers of shards."""
     numbers = throughput.counts(listed, "--shards")
-    compiled = api.compile(scenario, overrides=[*overrides, f"train.shards={max(numbers)}"], permissions=permissions)
+    compiled = api.compile(
+        scenario, overrides=[*overrides, f"train.shards={max(numbers)}"], permissions=permissions
+    )
     terminal.note_warnings(compiled.findings, scenario)
     with terminal.transient_line("loading PyTorch ..."):
         from deepbots_cli.learning import scaling
     if address is None and workers is None and max(numbers) > 1:
         workers = min(max(numbers), available_cores())
-    terminal.note(f"training for about {scaling.SECONDS:.0f} s with each number of shards, after the start of their processes")
+    terminal.note(
+        f"training for about {scaling.SECONDS:.0f} s with each number of shards, after the start of their"
+        " processes"
+    )
     with processes.executor(workers, address) as executor, terminal.progress("measurements") as show:
         timings = scaling.measure(
             scenario,
@@ -198,11 +240,17 @@ def _bench_shards(
             on_measured=show,
         )
     title = f"{compiled.program.name}, training; us per step of one world, by the clock"
-    terminal.show([vars(timing) for timing in timings], title, table([scaling.row(timing) for timing in timings]), as_json=as_json)
+    terminal.show(
+        [vars(timing) for timing in timings],
+        title,
+        table([scaling.row(timing) for timing in timings]),
+        as_json=as_json,
+    )
 
 
 def _affordable_steps(per_second: float, pairs: int) -> int:
-    """Steps of a measurement, such that all pairs, the warm-up and the plan of the episodes take three quarters of the limit.
+    """Steps of a measurement, such that all pairs, the warm-up and the plan of the episodes take three
+    quarters of the limit.
 
     `per_second` are steps by the clock.
     """
@@ -249,10 +297,12 @@ def measure(
     on_measured: Callable[[int, int], None] | None = None,
     end: float = math.inf,
 ) -> Timing:
-    """Time about `steps` steps of an environment, and the physics alone in another one of the same scenario, `pairs` times.
+    """Time about `steps` steps of an environment, and the physics alone in another one of the same scenario,
+    `pairs` times.
 
-    `on_measured` is called with the number of measured pairs and of all pairs. A first pair warms up caches and clocks; it is not counted.
-    Where another pair would end after `end` (s, as `time.perf_counter`), no further one is measured, after at least one.
+    `on_measured` is called with the number of measured pairs and of all pairs. A first pair warms up caches
+    and clocks; it is not counted. Where another pair would end after `end` (s, as `time.perf_counter`), no
+    further one is measured, after at least one.
 
     Raises:
         UsageError: An episode ends in the steps that are not timed.
@@ -264,7 +314,9 @@ def measure(
     timed_steps = sum(episode.steps for episode in episodes)
     sides = (
         lambda: timed(environment, episodes, environment.step, lambda episode: episode.action),
-        lambda: timed(other, episodes, other.engine.step, lambda _: program.world.substeps * program.action_repeat),
+        lambda: timed(
+            other, episodes, other.engine.step, lambda _: program.world.substeps * program.action_repeat
+        ),
     )
     started = time.perf_counter()
     for number in range(pairs + 1):
@@ -281,7 +333,17 @@ def measure(
     step_us, bare_us = (1e6 / timed_steps * median(side) for side in zip(*measured, strict=True))
     count = len(measured)
     return Timing(
-        program.name, name, program.format, count, timed_steps, step_us, bare_us, median(ratios), min(ratios), max(ratios), 1e6 / step_us
+        program.name,
+        name,
+        program.format,
+        count,
+        timed_steps,
+        step_us,
+        bare_us,
+        median(ratios),
+        min(ratios),
+        max(ratios),
+        1e6 / step_us,
     )
 
 

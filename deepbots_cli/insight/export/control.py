@@ -1,12 +1,14 @@
-"""One control step of a scenario as a graph: from what sensors measure to the commands of actuators, in SI units.
+"""One control step of a scenario as a graph: from what sensors measure to the commands of actuators, in SI
+units.
 
     sensors ─▶ emit ─▶ augment, signals ─▶ observation ─▶ networks ─▶ action ─▶ receive ─▶ apply ─▶ commands
 
-The parts are those of the generated code, in its order: what `_observe` computes for the policy, then `_advance` up to the actuators. Noise
-is left out, since a robot has its own.
+The parts are those of the generated code, in its order: what `_observe` computes for the policy, then
+`_advance` up to the actuators. Noise is left out, since a robot has its own.
 
-With `action_repeat`, a function with a memory advances between two actions too. The graph is then called in every timestep: it observes in
-all of them, and acts in every n-th; in the others it returns the commands of the last action.
+With `action_repeat`, a function with a memory advances between two actions too. The graph is then called in
+every timestep: it observes in all of them, and acts in every n-th; in the others it returns the commands of
+the last action.
 """
 
 from __future__ import annotations
@@ -77,7 +79,9 @@ class ControlStep:
     def _finish(self) -> None:
         """Declare inputs in their order, and the memories as outputs after the commands."""
         declared = {entry.name: entry for entry in self.graph.inputs}
-        self.graph.inputs = [declared[name] for name in (*self.readings, *(memory.name for memory in self.memories))]
+        self.graph.inputs = [
+            declared[name] for name in (*self.readings, *(memory.name for memory in self.memories))
+        ]
         self._kept.declare()
         shape = [len(self.agent.choices)] if len(self.agent.choices) > 1 else []
         if self._decision.scores is None:
@@ -97,9 +101,14 @@ class ControlStep:
             seen["observation"] = self._seen()
         seen |= {image.key: self._seen_image(image) for image in agent.images}
         if agent.goal is not None:
-            for key, trees in (("achieved_goal", agent.goal.achieved.scalars), ("desired_goal", agent.goal.targets)):
+            for key, trees in (
+                ("achieved_goal", agent.goal.achieved.scalars),
+                ("desired_goal", agent.goal.targets),
+            ):
                 middle, half = _mapping(agent.goal.low, agent.goal.high)
-                value = self._math.binary("Sub", self._names.printer.vector(trees), self._math.constant(middle))
+                value = self._math.binary(
+                    "Sub", self._names.printer.vector(trees), self._math.constant(middle)
+                )
                 value = self._clipped(self._math.binary("Div", value, self._math.constant(half)))
                 seen[key] = graph.cast(self._math.spread(value, len(middle)).name, np.float32)
         space = observation_space(agent)
@@ -117,7 +126,9 @@ class ControlStep:
             self._kept.keep_tensor(name, self._kept.tensor_if_acting(squeezed, f"memory.{name}"))
         self._action = graph.reshape(self._decision.action, -1)
         if self.repeat > 1:
-            dtype, size = (np.int64, len(agent.choices)) if agent.choices else (np.float32, len(agent.range_names))
+            dtype, size = (
+                (np.int64, len(agent.choices)) if agent.choices else (np.float32, len(agent.range_names))
+            )
             self._action = self._kept.tensor_if_acting(self._action, self._kept.tensor("action", dtype, size))
             self._kept.keep_tensor("action", self._action)
         return self._decoded()
@@ -137,7 +148,7 @@ class ControlStep:
     def _decoded(self) -> dict[str, Value]:
         """What the action of the policy sets."""
         agent, graph, decision = self.agent, self.graph, self._decision
-        found: dict[str, Value] = {}
+        decoded: dict[str, Value] = {}
         if decision.scores is None:
             whole = Value(graph.cast(graph.reshape(decision.action, -1), np.float64), len(agent.range_names))
             place = 0
@@ -146,18 +157,24 @@ class ControlStep:
                 value = self._math.picked([Item(whole, place + index) for index in range(size)])
                 half, middle = (part.high - part.low) / 2, (part.high + part.low) / 2
                 value = self._math.binary("Mul", value, self._math.constant([half])) if half != 1.0 else value
-                found[part.name] = self._math.binary("Add", value, self._math.constant([middle])) if middle else value
+                decoded[part.name] = (
+                    self._math.binary("Add", value, self._math.constant([middle])) if middle else value
+                )
                 place += size
-            return found | {"previous_action": whole}
+            return decoded | {"previous_action": whole}
         taken = []
         for choice, option in zip(agent.choices, decision.options, strict=True):
             table = graph.constant([each.values for each in choice.options], np.float64)
             row = Value(graph.reshape(graph.add("Gather", table, option, axis=0), -1), len(choice.variables))
-            found |= {name: self._math.picked([Item(row, place)]) for place, name in enumerate(choice.variables)}
+            decoded |= {
+                name: self._math.picked([Item(row, place)]) for place, name in enumerate(choice.variables)
+            }
             size = len(choice.options)
-            hot = graph.reshape(graph.add("Gather", graph.constant(np.eye(size), np.float64), option, axis=0), -1)
+            hot = graph.reshape(
+                graph.add("Gather", graph.constant(np.eye(size), np.float64), option, axis=0), -1
+            )
             taken.append(self._math.binary("Greater", Value(hot, size), self._math.constant([0.5])))
-        return found | {"previous_action": self._math.joined(taken)}
+        return decoded | {"previous_action": self._math.joined(taken)}
 
     def _seen(self) -> str:
         """The vector of numbers, in [-1, 1]: the newest frame and older ones."""
@@ -176,9 +193,15 @@ class ControlStep:
         """The numbers of one entry as the policy sees them, float32."""
         first, size = entry.numbers[0], len(entry.numbers)
         if entry.value.foreign is not None:
-            raise UsageError(f"the observation '{entry.name}' is computed by Python, which cannot be exported")
+            raise UsageError(
+                f"the observation '{entry.name}' is computed by Python, which cannot be exported"
+            )
         value = self._names.printer.vector(entry.value.scalars)
-        as_given = entry.name == "previous_action" and entry.noise is None and {*entry.low, *entry.high} == {-1.0, 1.0}
+        as_given = (
+            entry.name == "previous_action"
+            and entry.noise is None
+            and {*entry.low, *entry.high} == {-1.0, 1.0}
+        )
         if not (first.is_truth or as_given):
             middle, half = _mapping(entry.low, entry.high)
             value = self._math.binary("Sub", value, self._math.constant(middle))
@@ -187,13 +210,18 @@ class ControlStep:
         return self.graph.cast(self._math.spread(value, size).name, np.float32)
 
     def _clipped(self, value: Value) -> Value:
-        return self._math.call("min", [self._math.call("max", [value, self._math.constant([-1.0])]), self._math.constant([1.0])])
+        return self._math.call(
+            "min", [self._math.call("max", [value, self._math.constant([-1.0])]), self._math.constant([1.0])]
+        )
 
     @property
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         """Rows, columns and channels of the images that the policy sees."""
         stack = self.agent.frame_stack
-        return {image.key: (*image.shape[:2], image.shape[2] * len(image.ages(stack))) for image in self.agent.images}
+        return {
+            image.key: (*image.shape[:2], image.shape[2] * len(image.ages(stack)))
+            for image in self.agent.images
+        }
 
     def _seen_image(self, image: ImageObservation) -> str:
         """An image, uint8 [rows, columns, channels], with its history side by side, oldest first."""
@@ -202,7 +230,9 @@ class ControlStep:
         if robot is not None and entry is not None:
             sensor = next((each for each in robot.sensors if entry.scalars == (Name(each.name),)), None)
         if robot is None or sensor is None:
-            raise UsageError(f"the image '{image.name}' is not that of a camera as it is, which cannot be exported")
+            raise UsageError(
+                f"the image '{image.name}' is not that of a camera as it is, which cannot be exported"
+            )
         picture = self._names.sensor(robot, sensor).name
         graph, ages = self.graph, image.ages(self.agent.frame_stack)
         depth = 1 + max(ages)
@@ -210,7 +240,9 @@ class ControlStep:
             return picture
         newest = graph.add("Unsqueeze", picture, graph.constant([0], np.int64))
         frames = self._kept.frames(image.key, newest, depth, np.uint8, *image.shape)
-        taken = graph.add("Gather", frames, graph.constant([depth - 1 - ago for ago in ages], np.int64), axis=0)
+        taken = graph.add(
+            "Gather", frames, graph.constant([depth - 1 - ago for ago in ages], np.int64), axis=0
+        )
         return graph.reshape(graph.add("Transpose", taken, perm=[1, 2, 0, 3]), *self._shapes[image.key])
 
     # Messages and commands
@@ -222,9 +254,15 @@ class ControlStep:
             received = {entry.name for entry in robot.received}
             reads = any(leaf.name not in received for tree in trees for leaf in names_in(tree))
             keeps = any(isinstance(node, State) for tree in trees for node in walk(tree))
-            if robot.name in self.agent.robots and (reads or keeps) and not self.program.is_direct(robot, "to_robot"):
+            if (
+                robot.name in self.agent.robots
+                and (reads or keeps)
+                and not self.program.is_direct(robot, "to_robot")
+            ):
                 late = "and messages to it arrive late or not at all"
-                raise UsageError(f"`apply` of {robot.name} reads sensors or keeps values, {late}; this cannot be exported")
+                raise UsageError(
+                    f"`apply` of {robot.name} reads sensors or keeps values, {late}; this cannot be exported"
+                )
 
     def _command(self, action: dict[str, Value]) -> None:
         """The commands of the robots that the action commands."""

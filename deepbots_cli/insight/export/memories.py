@@ -1,7 +1,8 @@
-"""What a control step passes to the next one: memories of functions, frames of the past, and the number of calls.
+"""What a control step passes to the next one: memories of functions, frames of the past, and the number of
+calls.
 
-A memory is a tensor in and one out, zeros at the start of an episode. `memory.started` is false in the first step of an episode, in which
-each memory begins as after a reset.
+A memory is a tensor in and one out, zeros at the start of an episode. `memory.started` is false in the first
+step of an episode, in which each memory begins as after a reset.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ class AdvancesBetweenActionsError(Exception):
 
 
 class StepMemories:
-    """The memories of the graph of a control step, which acts once in `repeat` calls; `entries` lists them in order of first use."""
+    """The memories of the graph of a control step, which acts once in `repeat` calls; `entries` lists them in
+    order of first use."""
 
     def __init__(self, math: Arithmetic, program: Program, repeat: int) -> None:
         self.repeat = repeat
@@ -40,7 +42,9 @@ class StepMemories:
         """Pass a value to the next step."""
         memory = next(entry for entry in self.entries if entry.name == f"memory.{name}")
         (size,) = memory.shape
-        self.keep_tensor(name, self._math.spread(value if memory.dtype == "bool" else self._math.number(value), size).name)
+        self.keep_tensor(
+            name, self._math.spread(value if memory.dtype == "bool" else self._math.number(value), size).name
+        )
 
     def tensor(self, name: str, dtype: Any, *shape: int) -> str:
         """A tensor from the step before; zeros at the start of an episode."""
@@ -71,7 +75,9 @@ class StepMemories:
     def _acts(self) -> Value:
         """Whether the policy acts in this call."""
         math, calls = self._math, self._calls
-        return math.binary("Equal", math.remainder(calls, math.constant([float(self.repeat)])), math.constant([0.0]))
+        return math.binary(
+            "Equal", math.remainder(calls, math.constant([float(self.repeat)])), math.constant([0.0])
+        )
 
     @cached_property
     def _calls(self) -> Value:
@@ -85,7 +91,9 @@ class StepMemories:
         return value if self.repeat == 1 else self._math.where(self._acts, value, otherwise)
 
     def tensor_if_acting(self, tensor: str, otherwise: str) -> str:
-        return tensor if self.repeat == 1 else str(self._graph.add("Where", self._acts.name, tensor, otherwise))
+        return (
+            tensor if self.repeat == 1 else str(self._graph.add("Where", self._acts.name, tensor, otherwise))
+        )
 
     def clock(self, name: str, ahead: int) -> Value | None:
         """The number of the step, or the time, `ahead` steps after the observation; None for other names."""
@@ -102,24 +110,32 @@ class StepMemories:
     # Frames and stateful functions
 
     def frames(self, name: str, newest: str, depth: int, dtype: Any, *shape: int) -> str:
-        """The newest frame, [1, *shape], after the `depth` - 1 frames before it, oldest first; those of a reset are as the newest."""
+        """The newest frame, [1, *shape], after the `depth` - 1 frames before it, oldest first; those of a
+        reset are as the newest."""
         graph = self._graph
         before = self.tensor(name, dtype, depth - 1, *shape)
-        older = graph.add("Where", self.started.name, before, graph.add("Concat", *[newest] * (depth - 1), axis=0))
+        older = graph.add(
+            "Where", self.started.name, before, graph.add("Concat", *[newest] * (depth - 1), axis=0)
+        )
         frames = graph.add("Concat", older, newest, axis=0)
-        without_oldest = graph.add("Slice", frames, *(graph.constant([place], np.int64) for place in (1, depth, 0)))
+        without_oldest = graph.add(
+            "Slice", frames, *(graph.constant([place], np.int64) for place in (1, depth, 0))
+        )
         self.keep_tensor(name, self.tensor_if_acting(without_oldest, older))
         return str(frames)
 
     def per_timestep(self, states: Sequence[State], printer: TreePrinter) -> Value:
-        """The values of a stateful function that advances once per timestep, from its value at the reset on."""
+        """The values of a stateful function that advances once per timestep, from its value at the reset
+        on."""
         function = states[0].function
         if self._program.action_repeat != self.repeat:
             raise AdvancesBetweenActionsError
         args = _columns(printer, states)
         begun, first = self._formulas.begin(function, args)
         name = self._slot(states[0])
-        kept, value = self._formulas.proceed(function, self.memory(name, len(states), truth=begun.truth), args)
+        kept, value = self._formulas.proceed(
+            function, self.memory(name, len(states), truth=begun.truth), args
+        )
         self.keep(name, self._math.where(self.started, kept, begun))
         return self._math.where(self.started, value, first)
 
@@ -128,15 +144,23 @@ class StepMemories:
         return self._formulas.begin(states[0].function, _columns(printer, states))[1]
 
     def per_message(
-        self, states: Sequence[State], printer: TreePrinter, *, reset: TreePrinter, begun: frozenset[tuple[str, str]] = frozenset()
+        self,
+        states: Sequence[State],
+        printer: TreePrinter,
+        *,
+        reset: TreePrinter,
+        begun: frozenset[tuple[str, str]] = frozenset(),
     ) -> Value:
-        """The values of a stateful function that advances with each message, from its value at the `reset` on.
+        """The values of a stateful function that advances with each message, from its value at the `reset`
+        on.
 
         `begun` are the calls that begin with the first message.
         """
         function = states[0].function
         args = _columns(printer, states)
-        start, _ = self._formulas.begin(function, args if states[0].call in begun else _columns(reset, states))
+        start, _ = self._formulas.begin(
+            function, args if states[0].call in begun else _columns(reset, states)
+        )
         name = self._slot(states[0])
         before = self._math.where(self.started, self.memory(name, len(states), truth=start.truth), start)
         kept, value = self._formulas.proceed(function, before, args)
@@ -147,7 +171,10 @@ class StepMemories:
         """A name for the memory of a stateful call, which no other memory has."""
         item, occurrence = state.call
         names = {memory.name for memory in self.entries}
-        wanted = [item if occurrence == "0" else f"{item}.{occurrence}", *(f"{item}.{occurrence}.{number}" for number in range(1, 10_000))]
+        wanted = [
+            item if occurrence == "0" else f"{item}.{occurrence}",
+            *(f"{item}.{occurrence}.{number}" for number in range(1, 10_000)),
+        ]
         return next(name for name in wanted if f"memory.{name}" not in names)
 
 

@@ -1,4 +1,5 @@
-"""What names and readings of the world mean in a control step: while the policy observes, and on board of a robot."""
+"""What names and readings of the world mean in a control step: while the policy observes, and on board of a
+robot."""
 
 from __future__ import annotations
 
@@ -35,16 +36,26 @@ class ObservedNames:
         self.math, self.memories = math, memories
         self.readings: dict[str, Reading] = {}
         self.printer = TreePrinter(math, self, memories.per_timestep)
-        self.fields = {f"{robot.name}.{entry.name}": (robot, entry) for robot in program.robots for entry in robot.emitted}
+        self.fields = {
+            f"{robot.name}.{entry.name}": (robot, entry)
+            for robot in program.robots
+            for entry in robot.emitted
+        }
         parts = {name: part.components for part in program.agent.ranges for name in part.variables}
         variables = {name: parts.get(name, ()) for part in program.agent.action for name in part.variables}
-        self.acted: dict[str, Sequence[str]] = {**variables, "previous_action": action_names(program.agent.action)}
+        self.acted: dict[str, Sequence[str]] = {
+            **variables,
+            "previous_action": action_names(program.agent.action),
+        }
         self._program = program
         self._describe = Readings(program, timestep)
         self._whole: dict[str, Value] = {}
         self._signals = {signal.name: signal for signal in program.signals}
         self._parameters = {value.name: value for value in program.parameters}
-        self._on_board = {robot.name: TreePrinter(math, OnBoard(self, robot), memories.per_timestep) for robot in program.robots}
+        self._on_board = {
+            robot.name: TreePrinter(math, OnBoard(self, robot), memories.per_timestep)
+            for robot in program.robots
+        }
 
     def input(self, reading: Reading) -> Value:
         """The tensor of an input, which is made when it is first read."""
@@ -67,19 +78,30 @@ class ObservedNames:
 
     def __call__(self, leaf: Name | EngineRead) -> Item:
         if isinstance(leaf, EngineRead):
-            return self._channel_value(leaf) if leaf.function in ("age", "message_received") else self.of_world(leaf)
+            return (
+                self._channel_value(leaf)
+                if leaf.function in ("age", "message_received")
+                else self.of_world(leaf)
+            )
         return self.named(leaf, ahead=0)
 
     def named(self, leaf: Name, *, ahead: int) -> Item:
-        """A named value; the time and the number of the step are those `ahead` steps after the observation."""
+        """A named value; the time and the number of the step are those `ahead` steps after the
+        observation."""
         name, part = leaf
         clock = self.memories.clock(name, ahead)
         if clock is not None:
             return Item(clock)
         if name in _LATER or any(ending.name == name for ending in self._program.endings):
-            raise UsageError(f"the policy sees '{name}', and {_LATER.get(name, 'an ending')} is known in a training alone")
+            raise UsageError(
+                f"the policy sees '{name}', and {_LATER.get(name, 'an ending')} is known in a training alone"
+            )
         if name in self._parameters:
-            return item(self.input(self._describe.parameter(self._parameters[name])), self._parameters[name].components, part)
+            return item(
+                self.input(self._describe.parameter(self._parameters[name])),
+                self._parameters[name].components,
+                part,
+            )
         if name in self._signals:
             signal = self._signals[name]
             return item(self._once(f"signal {name}", self.printer, signal.scalars), signal.components, part)
@@ -87,8 +109,12 @@ class ObservedNames:
             robot, entry = self.fields[name]
             if not self._program.is_direct(robot, "from_robot") and not _sends_a_sensor(robot, entry.scalars):
                 late = f"messages from {robot.name} arrive late or not at all"
-                raise UsageError(f"{robot.name} computes '{name}' itself, and {late}; this cannot be exported")
-            return item(self._once(f"field {name}", self._on_board[robot.name], entry.scalars), entry.components, part)
+                raise UsageError(
+                    f"{robot.name} computes '{name}' itself, and {late}; this cannot be exported"
+                )
+            return item(
+                self._once(f"field {name}", self._on_board[robot.name], entry.scalars), entry.components, part
+            )
         return item(self._last_action(name), self.acted[name], part)
 
     def _once(self, key: str, printer: TreePrinter, trees: Sequence[Scalar]) -> Value:
@@ -149,7 +175,8 @@ class Sent:
 
 
 class Applied:
-    """What names mean in the commands of a robot: its sensors, and what it received; zeros at a reset (`sent` None)."""
+    """What names mean in the commands of a robot: its sensors, and what it received; zeros at a reset (`sent`
+    None)."""
 
     def __init__(self, names: ObservedNames, robot: Robot, sent: TreePrinter | None) -> None:
         self._math, self._sent = names.math, sent
@@ -167,7 +194,10 @@ class Applied:
 
 def _sends_a_sensor(robot: Robot, trees: Sequence[Scalar]) -> bool:
     """Whether a value that a robot sends is a sensor as it is."""
-    return any(trees == tuple(Name(sensor.name, part) for part in sensor.components or (None,)) for sensor in robot.sensors)
+    return any(
+        trees == tuple(Name(sensor.name, part) for part in sensor.components or (None,))
+        for sensor in robot.sensors
+    )
 
 
 def item(whole: Value, components: Sequence[str], part: str | None) -> Item:

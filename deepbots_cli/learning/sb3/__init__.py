@@ -1,4 +1,5 @@
-"""The learner of the built-in algorithms, on Stable-Baselines3 and sb3-contrib. Only this package imports them.
+"""The learner of the built-in algorithms, on Stable-Baselines3 and sb3-contrib. Only this package imports
+them.
 
 learner.py       `StableLearner`: an algorithm behind the interface of `learning.learner`
 algorithms.py    algorithms made for a scenario, action noise

@@ -1,9 +1,11 @@
-"""The learner of the built-in algorithms: Stable-Baselines3 and sb3-contrib behind the interface of `learning.learner`.
+"""The learner of the built-in algorithms: Stable-Baselines3 and sb3-contrib behind the interface of
+`learning.learner`.
 
-On-policy algorithms take fragments of a collector (`rollouts.py`). Off-policy algorithms step the worlds by their own `collect_rollouts`,
-which draws noise, stores steps and counts episodes in ways of its own; a fragment is what they collect between two updates. So do
-algorithms of other packages that have a `collect_rollouts` of their own. With shards, the fragment is fetched first, and
-`collect_rollouts` then steps through it.
+On-policy algorithms take fragments of a collector (`rollouts.py`). Off-policy algorithms step the worlds by
+their own `collect_rollouts`, which draws noise, stores steps and counts episodes in ways of its own; a
+fragment is what they collect between two updates. So do algorithms of other packages that have a
+`collect_rollouts` of their own. With shards, the fragment is fetched first, and `collect_rollouts` then steps
+through it.
 """
 
 from __future__ import annotations
@@ -45,11 +47,19 @@ from deepbots_cli.learning.sb3.imitation import (
 from deepbots_cli.learning.sb3.logs import encoded, number_of
 from deepbots_cli.learning.teacher import Plan
 from deepbots_cli.program.task import Training
-from deepbots_cli.rollout.collector import Decision, Fragment, Lesson, LocalCollector, PolicyActor, ShardedCollector
+from deepbots_cli.rollout.collector import (
+    Decision,
+    Fragment,
+    Lesson,
+    LocalCollector,
+    PolicyActor,
+    ShardedCollector,
+)
 from deepbots_cli.rollout.worlds import WorldsStep
 
 AGREEMENT_STEPS = 64
-"""Steps of each copy of the environment after which an off-policy algorithm measures the agreement with a teacher."""
+"""Steps of each copy of the environment after which an off-policy algorithm measures the agreement with a
+teacher."""
 SCALAR_WINDOW_STEPS = 256
 """Steps of each copy of the environment that the scalars of an off-policy algorithm describe."""
 
@@ -63,13 +73,19 @@ class StableLearner(Learner):
         self.setup = setup
         self.check(setup.training)
         self._collector = collector = setup.collector
-        env: Any = spaces_only(setup.observation_space, setup.action_space, setup.rows if collector is None else collector.rows)
+        env: Any = spaces_only(
+            setup.observation_space, setup.action_space, setup.rows if collector is None else collector.rows
+        )
         if isinstance(collector, LocalCollector | ShardedCollector):
             env = CollectorEnvironment(collector)
         if collector is not None and setup.training.normalize is not None:
             gamma: Any = next((h.value for h in setup.training.hyperparameters if h.name == "gamma"), 0.99)
-            env = VecNormalize(env, norm_obs=False, gamma=gamma)  # rewards by a running standard deviation of the return
-        mixin: type[_SavesPlainly] = _SavesPlainly if setup.training.teacher is None and setup.demonstrations is None else _IsTaught
+            env = VecNormalize(
+                env, norm_obs=False, gamma=gamma
+            )  # rewards by a running standard deviation of the return
+        mixin: type[_SavesPlainly] = (
+            _SavesPlainly if setup.training.teacher is None and setup.demonstrations is None else _IsTaught
+        )
         if isinstance(collector, ShardedCollector):
             mixin = _RepeatsLessons if mixin is _IsTaught else _RepeatsActions
         self.model: Any = algorithms.create(
@@ -84,14 +100,25 @@ class StableLearner(Learner):
         self.takes_masks = algorithms.takes_masks(self.model)
         self.is_off_policy = isinstance(self.model, OffPolicyAlgorithm)
         demonstrations = self._prepared(setup.demonstrations)
-        if self.is_off_policy and isinstance(self.model, _IsTaught) and collector is not None and hasattr(self.model, "actor"):
+        if (
+            self.is_off_policy
+            and isinstance(self.model, _IsTaught)
+            and collector is not None
+            and hasattr(self.model, "actor")
+        ):
             keep_labels(self.model)
             self.model.keeps_labels = True
         if self.is_off_policy and demonstrations is not None:
             mix_in(self.model, demonstrations)
-        self._shown = None if demonstrations is None or self.is_off_policy else Lessons(self.model, demonstrations)
-        self._by_fragments = not self.is_off_policy and algorithms.collects_as_usual(setup.training, self.model)
-        self._actor = rollouts.ExplorationActor(self.model) if self.is_off_policy else rollouts.RolloutActor(self.model)
+        self._shown = (
+            None if demonstrations is None or self.is_off_policy else Lessons(self.model, demonstrations)
+        )
+        self._by_fragments = not self.is_off_policy and algorithms.collects_as_usual(
+            setup.training, self.model
+        )
+        self._actor = (
+            rollouts.ExplorationActor(self.model) if self.is_off_policy else rollouts.RolloutActor(self.model)
+        )
         if isinstance(collector, ShardedCollector):
             self.actor()
         elif not (self._by_fragments or collector is None or isinstance(collector, LocalCollector)):
@@ -123,7 +150,9 @@ class StableLearner(Learner):
         self._log_interval = signature(type(self.model).learn).parameters["log_interval"].default
 
     def start(self) -> None:
-        self._callback.on_training_start({"self": self.model, "total_timesteps": self._total, "callback": self._callback}, {})
+        self._callback.on_training_start(
+            {"self": self.model, "total_timesteps": self._total, "callback": self._callback}, {}
+        )
 
     def be_taught(self, plan: Plan) -> None:
         if not (self._by_fragments or self.is_off_policy) or hasattr(self.model, "_last_lstm_states"):
@@ -137,7 +166,10 @@ class StableLearner(Learner):
 
     def actor(self) -> PolicyActor:
         if not algorithms.collects_as_usual(self.setup.training, self.model):
-            raise UsageError(f"{self.setup.training.algorithm} collects experience in a way of its own, which shards do not support")
+            raise UsageError(
+                f"{self.setup.training.algorithm} collects experience in a way of its own, which shards do"
+                " not support"
+            )
         return self._actor
 
     def collect(self) -> bool:
@@ -146,7 +178,9 @@ class StableLearner(Learner):
             if self.is_off_policy:
                 shards = self._collector if isinstance(self._collector, ShardedCollector) else None
                 if shards is not None:
-                    model.recorded = shards.fetch(self._actor, model.train_freq.frequency, lesson=self._plan.lesson)
+                    model.recorded = shards.fetch(
+                        self._actor, model.train_freq.frequency, lesson=self._plan.lesson
+                    )
                     memory = self._actor.memory()
                 self._rollout: RolloutReturn = model.collect_rollouts(
                     model.env,
@@ -157,17 +191,25 @@ class StableLearner(Learner):
                     replay_buffer=model.replay_buffer,
                     log_interval=self._log_interval,
                 )
-                if shards is not None:  # at the end of an episode, the library has reset the noise of the next one
+                if (
+                    shards is not None
+                ):  # at the end of an episode, the library has reset the noise of the next one
                     self._actor.remember(memory)
                     if self.setup.training.staleness:
                         shards.ask_ahead(self._actor, model.train_freq.frequency)
                 return bool(self._rollout.continue_training)
             if self._collector is None or not self._by_fragments:
-                return bool(model.collect_rollouts(model.env, self._callback, model.rollout_buffer, n_rollout_steps=model.n_steps))
+                return bool(
+                    model.collect_rollouts(
+                        model.env, self._callback, model.rollout_buffer, n_rollout_steps=model.n_steps
+                    )
+                )
             self._actor.begin()
             self._callback.on_rollout_start()
             lesson = self._plan.lesson
-            fragment = self._collector.collect(self._actor, model.n_steps, self._on_step, with_masks=self.takes_masks, lesson=lesson)
+            fragment = self._collector.collect(
+                self._actor, model.n_steps, self._on_step, with_masks=self.takes_masks, lesson=lesson
+            )
             if fragment is None:
                 return False
             if self.setup.training.staleness and isinstance(self._collector, ShardedCollector):
@@ -182,7 +224,9 @@ class StableLearner(Learner):
         model.num_timesteps += len(step.dones)
         if self._followers:
             observations, rewards, dones, infos = as_returned(step)
-            self._callback.update_locals({"new_obs": observations, "rewards": rewards, "dones": dones, "infos": infos})
+            self._callback.update_locals(
+                {"new_obs": observations, "rewards": rewards, "dones": dones, "infos": infos}
+            )
         if not self._callback.on_step():
             return False
         for ending in step.endings:
@@ -201,7 +245,9 @@ class StableLearner(Learner):
                 with self._imitation():
                     model.train()
             elif model.num_timesteps > model.learning_starts:
-                gradient_steps = model.gradient_steps if model.gradient_steps >= 0 else self._rollout.episode_timesteps
+                gradient_steps = (
+                    model.gradient_steps if model.gradient_steps >= 0 else self._rollout.episode_timesteps
+                )
                 if gradient_steps > 0:
                     with self._imitation():
                         model.train(batch_size=model.batch_size, gradient_steps=gradient_steps)
@@ -213,10 +259,16 @@ class StableLearner(Learner):
             new, period = self._rollout.episode_timesteps, AGREEMENT_STEPS * model.n_envs
             if plan.only and self.steps // period > (self.steps - new) // period:
                 seen, _, _ = self.recent()
-                taught = self._recent_rows(model.replay_buffer.actions)[..., get_action_dim(model.action_space) :]
+                taught = self._recent_rows(model.replay_buffer.actions)[
+                    ..., get_action_dim(model.action_space) :
+                ]
                 if self.setup.demonstrations is None:
                     self._agrees(seen, taught)
-            return imitating_labels(model, plan.weight, only=plan.only, new=new) if plan.weight else nullcontext()
+            return (
+                imitating_labels(model, plan.weight, only=plan.only, new=new)
+                if plan.weight
+                else nullcontext()
+            )
         if self._shown is not None:
             if plan.only:
                 return only_imitating(model, self._shown, None)
@@ -236,26 +288,39 @@ class StableLearner(Learner):
         """Demonstrations as the policy takes them: with the channels of images first."""
         if shown is None:
             return None
-        observations, following = (rollouts.prepared(self.model, seen) for seen in (shown.observations, shown.following))
+        observations, following = (
+            rollouts.prepared(self.model, seen) for seen in (shown.observations, shown.following)
+        )
         return replace(shown, observations=observations, following=following)
 
     def end(self) -> None:
         self._callback.on_training_end()
 
     def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False, action_masks: Any = None
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+        action_masks: Any = None,
     ) -> tuple[Any, Any]:
         """As of the algorithm.
 
         Raises:
             RunError: An action is not finite: weights so large that none follows are a problem of the run.
         """
-        actions = networks.likeliest_actions(self.model.policy, observation) if deterministic and action_masks is None else None
+        actions = (
+            networks.likeliest_actions(self.model.policy, observation)
+            if deterministic and action_masks is None
+            else None
+        )
         if actions is not None:
             return actions, None
         masks = {} if action_masks is None else {"action_masks": action_masks}
         with models.overflow_explained():
-            actions, state = self.model.predict(observation, state=state, episode_start=episode_start, deterministic=deterministic, **masks)
+            actions, state = self.model.predict(
+                observation, state=state, episode_start=episode_start, deterministic=deterministic, **masks
+            )
             if not np.isfinite(actions).all():
                 raise ValueError(models.OVERFLOW)
         return actions, state
@@ -267,20 +332,26 @@ class StableLearner(Learner):
             return buffer.observations, buffer.actions, buffer.log_probs
         seen, rows = self.model.replay_buffer.observations, self._recent_rows
         width = get_action_dim(self.model.action_space)
-        observations = {key: rows(part) for key, part in seen.items()} if isinstance(seen, dict) else rows(seen)
+        observations = (
+            {key: rows(part) for key, part in seen.items()} if isinstance(seen, dict) else rows(seen)
+        )
         return observations, rows(self.model.replay_buffer.actions)[..., :width], None
 
     def _recent_rows(self, column: Array) -> Array:
         """The last rows of a column of the replay buffer."""
         buffer = self.model.replay_buffer
-        rows = np.arange(buffer.pos - min(SCALAR_WINDOW_STEPS, buffer.size()), buffer.pos) % buffer.buffer_size
-        found: Array = column[rows]
-        return found
+        rows = (
+            np.arange(buffer.pos - min(SCALAR_WINDOW_STEPS, buffer.size()), buffer.pos) % buffer.buffer_size
+        )
+        recent: Array = column[rows]
+        return recent
 
     # Numbers
 
     def weights(self) -> dict[str, Array]:
-        return {name: tensor.detach().cpu().numpy() for name, tensor in self.model.policy.state_dict().items()}
+        return {
+            name: tensor.detach().cpu().numpy() for name, tensor in self.model.policy.state_dict().items()
+        }
 
     def save(self, path: Path) -> None:
         models.save(path, self.model)
@@ -301,8 +372,13 @@ class StableLearner(Learner):
         if buffer is not None:
             self._replay.append(buffer, self.steps // model.n_envs)
         return {
-            "counts": {name: getattr(model, name) for name in get_args(state.CounterName) if hasattr(model, name)},
-            "infos": [state.EpisodeInfo(r=encoded(info["r"]), l=encoded(info["l"])) for info in model.ep_info_buffer or ()],
+            "counts": {
+                name: getattr(model, name) for name in get_args(state.CounterName) if hasattr(model, name)
+            },
+            "infos": [
+                state.EpisodeInfo(r=encoded(info["r"]), l=encoded(info["l"]))
+                for info in model.ep_info_buffer or ()
+            ],
             "successes": [bool(success) for success in model.ep_success_buffer or ()],
             "action_space": model.action_space.np_random.bit_generator.state,
             "segments": self._replay.segments,
@@ -314,11 +390,18 @@ class StableLearner(Learner):
 
     def arrays(self) -> dict[str, Array]:
         model = self.model
-        arrays: dict[str, Array] = {f"noise/{index}": noise.drift for index, noise in enumerate(self._noises) if noise.drift is not None}
+        arrays: dict[str, Array] = {
+            f"noise/{index}": noise.drift
+            for index, noise in enumerate(self._noises)
+            if noise.drift is not None
+        }
         arrays |= {f"lstm/{index}": tensor.cpu().numpy() for index, tensor in enumerate(self._memory)}
         if (normalizer := model.get_vec_normalize_env()) is not None:
             statistics = normalizer.ret_rms
-            arrays |= {"returns": normalizer.returns, "return_statistics": np.array([statistics.mean, statistics.var, statistics.count])}
+            arrays |= {
+                "returns": normalizer.returns,
+                "return_statistics": np.array([statistics.mean, statistics.var, statistics.count]),
+            }
         if isinstance(buffer := self._buffer, HerReplayBuffer):
             arrays["episode_starts"] = buffer._current_ep_start
         return arrays
@@ -347,7 +430,11 @@ class StableLearner(Learner):
             mean, var, count = arrays["return_statistics"]
             if var < 0 or count <= 0:
                 raise ValueError("the statistics of the returns are impossible")
-            normalizer.ret_rms.mean, normalizer.ret_rms.var, normalizer.ret_rms.count = mean, var, float(count)
+            normalizer.ret_rms.mean, normalizer.ret_rms.var, normalizer.ret_rms.count = (
+                mean,
+                var,
+                float(count),
+            )
             normalizer.returns = arrays["returns"]
         model.action_space.np_random.bit_generator.state = kept.action_space.model_dump()
         if self._by_fragments and self.setup.training.teacher is not None and kept.replay[0]:
@@ -382,7 +469,8 @@ class StableLearner(Learner):
         return networks.critic_values(self.setup.training, self.model.policy, observations)
 
     def critic_check(self) -> tuple[float, float] | None:
-        """Of an off-policy algorithm; one that learns on fragments logs how much of their returns its critic explains."""
+        """Of an off-policy algorithm; one that learns on fragments logs how much of their returns its critic
+        explains."""
         return critics.check_critic(self.model) if self.is_off_policy else None
 
     def network(self) -> networks.PolicyNetwork:
@@ -393,7 +481,8 @@ class _SavesPlainly:
     """Mixed in before an algorithm."""
 
     def save(self, path: str | Path, *_: Any, **__: Any) -> None:
-        """Write the model as a run keeps it, for a callback: Stable-Baselines3 would also pickle the worlds."""
+        """Write the model as a run keeps it, for a callback: Stable-Baselines3 would also pickle the
+        worlds."""
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         models.save(path if path.suffix else path.with_suffix(".zip"), self)  # type: ignore[arg-type]  # of the algorithm
@@ -416,7 +505,8 @@ class _IsTaught(_SavesPlainly):
 
 
 class _RepeatsActions(_SavesPlainly):
-    """An off-policy algorithm whose shards have acted already; `recorded` is the fragment through which it steps."""
+    """An off-policy algorithm whose shards have acted already; `recorded` is the fragment through which it
+    steps."""
 
     recorded: Fragment
     _repeated = 0
@@ -434,7 +524,9 @@ class _RepeatsLessons(_IsTaught, _RepeatsActions):
         step = self._repeated % len(self.recorded.actions)
         actions, stored = _RepeatsActions._sample_action(self)
         taught = self.recorded.columns.get("taught")
-        return actions, labeled(stored, None if taught is None else taught[step]) if self.keeps_labels else stored
+        return actions, labeled(
+            stored, None if taught is None else taught[step]
+        ) if self.keeps_labels else stored
 
 
 class _MonitorCallback(BaseCallback):
@@ -446,7 +538,9 @@ class _MonitorCallback(BaseCallback):
 
     def _on_training_start(self) -> None:
         if not self._monitor.defines_success:
-            self.model.ep_success_buffer = deque(maxlen=0)  # or TensorBoard would show a success rate of 0 beside any return
+            self.model.ep_success_buffer = deque(
+                maxlen=0
+            )  # or TensorBoard would show a success rate of 0 beside any return
 
     def _on_step(self) -> bool:
         return self._monitor.on_step()

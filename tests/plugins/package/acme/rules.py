@@ -16,7 +16,11 @@ def short_episodes(checked: CheckedScenario) -> Iterator[Finding]:
     program = checked.program
     if program is not None and program.truncation.max_steps is not None and program.truncation.max_steps < 10:
         span = checked.namespace.values.span(("truncation", "max_steps"))
-        yield Finding("ACME1", span, f"episodes of {program.truncation.max_steps} steps", help="write at least 10")
+        yield Finding(
+            "ACME1", span, f"episodes of {program.truncation.max_steps} steps", help="write at least 10"
+        )
 
 
-SHORT_EPISODES = Rule("ACME1", "short-episodes", "warning", "episodes of fewer than ten steps", check=short_episodes)
+SHORT_EPISODES = Rule(
+    "ACME1", "short-episodes", "warning", "episodes of fewer than ten steps", check=short_episodes
+)
