@@ -23,8 +23,8 @@ from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.findings import suppress
 from deepbots_cli.document import loads
-from deepbots_cli.lint import pages_of
 from deepbots_cli.lint import static_findings as run_rules
+from deepbots_cli.lint.pages import pages_of
 from tests.docs.test_docs_tutorials import TUTORIALS
 
 ROOT = Path(__file__).parents[2]
