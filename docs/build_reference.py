@@ -28,7 +28,7 @@ from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, UNI
 from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Family, Function
 from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.learning.sb3.defaults import DEFAULTS, library_defaults, library_of
-from deepbots_cli.lint import RulePage, every_page
+from deepbots_cli.lint.pages import RulePage, every_page
 from deepbots_cli.scenario.base import (
     Forms,
     Kinds,

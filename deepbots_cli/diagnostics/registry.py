@@ -33,8 +33,13 @@ class Rule:
     deep: Literal["no", "too", "only", "exploits"] = "no"
     deep_preview: bool = False
     check: Callable[[Any], Iterator[Any]] | None = None
-    """For a plug-in: yields findings about a `compiler.CheckedScenario` without errors; its docstring is the
-    page of the rule."""
+    """For a plug-in: yields findings about a `compiler.CheckedScenario` without errors."""
+    about: str = ""
+    """For a plug-in: the page of the rule, paragraphs with blank lines between."""
+    example: str = ""
+    """For a plug-in: a scenario with the finding, to be merged into CartPole; `instead` is what to write
+    instead."""
+    instead: str = ""
 
     @property
     def family(self) -> str:
@@ -392,8 +397,8 @@ def _read(_name: str, found: Any) -> Iterator[tuple[str, Rule]]:
         ValueError: A rule is incomplete, or uses a code or a name of deepbots.
     """
     for rule in [found] if isinstance(found, Rule) else list(found):
-        if not isinstance(rule, Rule) or rule.check is None or not rule.check.__doc__:
-            raise ValueError(f"{rule!r} is not a Rule with a check that has a docstring")
+        if not isinstance(rule, Rule) or rule.check is None or not rule.about:
+            raise ValueError(f"{rule!r} is not a Rule with `check` and `about`")
         if not re.fullmatch(r"[A-Z]{2,8}[0-9]{1,4}", rule.code) or rule.code.startswith("DB"):
             raise ValueError(f"the code {rule.code!r} is no capital letters and digits, or begins with DB")
         if rule.name in {entry.name for entry in _CATALOG}:

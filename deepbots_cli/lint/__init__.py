@@ -3,7 +3,7 @@ settings.
 
 A static rule is a generator from a `RuleContext` to findings, a simulated rule one from a `Simulation`. No
 rule uses another rule. Each module of rules lists both kinds, in `STATIC_RULES` and `SIMULATED_RULES`. The
-docstring of a rule begins with its code; the docstring of a static rule is its page in the reference.
+decorator `rule` gives a rule its code; its page is in `rule_pages`, by this code.
 
 names.py         unused definitions, equality of measurements, angles that jump              DB205, DB411, DB506
 robots.py        commands, actuators, wheels that slip, rays that pass over everything       DB312 to DB315, DB317,
@@ -17,8 +17,9 @@ cycles.py        what a cycle of states earns that never ends in success        
 endings.py       when episodes end, goals that cannot be reached                             DB8
 exploits.py      rewards that pay for something other than success                           DB712 to DB715, DB717
 
-context.py       what a rule is given: the scenario, its analysis, places in its text, the report of its
-                 simulation
+pages.py         the pages of findings, of which `rule_pages` contains the texts
+context.py       the code of a rule, and what a rule is given: the scenario, its analysis, places in its text,
+                 the report of its simulation
 simulation.py    plan, process and report of a simulation; simulation_process.py, rollouts.py and search.py
                  run in that process
 fixes.py         applies fixes; settings.py which files are linted, and how
@@ -30,24 +31,11 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cache, partial
-from inspect import cleandoc
-from pathlib import Path
-from textwrap import dedent, fill, indent
+from functools import partial
 
 from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.diagnostics import (
-    MAX_FINDINGS,
-    RULES,
-    Finding,
-    Findings,
-    Source,
-    Span,
-    exceptions_as_findings,
-)
+from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, Source, Span, exceptions_as_findings
 from deepbots_cli.diagnostics.findings import internal_error_finding, suppress
-from deepbots_cli.document.nodes import to_data
-from deepbots_cli.document.parse import parse
 from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.lint import (
     cycles,
@@ -79,11 +67,6 @@ _DOUBTFUL = frozenset({"DB304", "DB504", "DB505"})
 """Findings about a value that is probably wrong, such as `fall_angle: 15 rad`."""
 
 
-def code_of(rule: Callable[..., Iterator[Finding]]) -> str:
-    """The code at the beginning of the docstring of a rule."""
-    return (rule.__doc__ or "").partition(":")[0]
-
-
 def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Iterator[Finding]:
     """The findings of all static rules; none for a scenario with errors.
 
@@ -95,7 +78,7 @@ def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Itera
     cascade = CascadeFilter(checked)
     source = checked.document.source
     checks: list[tuple[str, Callable[[], Iterator[Finding]]]] = [
-        (code_of(rule), partial(rule, context)) for rule in STATIC_RULES
+        (rule.code, partial(rule, context)) for rule in STATIC_RULES
     ]
     checks += [
         (rule.code, partial(rule.check, checked))
@@ -185,12 +168,11 @@ def simulate(
     if report.fault is not None:
         return SimulationFindings([internal_error_finding("the simulation", source, report.fault)])
     simulation = Simulation(checked, checked.program, checked.namespace, report)
-    rules = [(code_of(rule), rule) for rule in SIMULATED_RULES]
-    active = [(code, rule) for code, rule in rules if preview or not RULES[code].deep_preview]
+    active = [rule for rule in SIMULATED_RULES if preview or not RULES[rule.code].deep_preview]
     findings = [
         finding
-        for code, rule in active
-        for finding in exceptions_as_findings(f"the rule {code}", source, partial(rule, simulation))
+        for rule in active
+        for finding in exceptions_as_findings(f"the rule {rule.code}", source, partial(rule, simulation))
     ]
     errors = [finding for finding in findings if finding.severity == "error"]
     if not all(finding.is_internal_error for finding in errors):
@@ -298,84 +280,3 @@ def _depending_on(checked: CheckedScenario, doubtful: list[Span]) -> set[Span]:
             spans.add(text)
             waiting += [user for name in (defined[place] if place else ()) for user in users.pop(name, ())]
     return spans
-
-
-# Pages
-
-PAGES = Path(__file__).with_name("pages.yaml")
-
-
-@dataclass(frozen=True)
-class RulePage:
-    """The page of a finding, for the reference and for `deepbots explain`: why it matters, an example, and
-    what to write instead.
-
-    The page of a static rule is the docstring of its function. Pages of the compiler's findings and of
-    simulated rules are in `pages.yaml`. `about` holds paragraphs with blank lines between; `example` and
-    `instead` are both given or both empty.
-
-    A `deep` page is about a rule that simulates.
-    """
-
-    code: str
-    about: str
-    example: str = ""
-    instead: str = ""
-    deep: bool = False
-
-    @property
-    def language(self) -> str:
-        """`yaml`, to be laid upon CartPole, or `xml`, a whole robot file."""
-        return "xml" if self.example.startswith("<") else "yaml"
-
-    def text(self, width: int = 100) -> str:
-        """For a terminal: paragraphs of at most `width` columns, examples indented."""
-        parts = [
-            fill(" ".join(part.split()), width, break_long_words=False, break_on_hyphens=False)
-            for part in self.about.split("\n\n")
-        ]
-        if self.example:
-            parts += ["For example:", indent(self.example, "    "), "Instead:", indent(self.instead, "    ")]
-        return "\n\n".join(parts)
-
-    def markdown(self) -> str:
-        """For code scanning."""
-        if not self.example:
-            return self.about
-        example, instead = (f"```{self.language}\n{part}\n```" for part in (self.example, self.instead))
-        return f"{self.about}\n\n{example}\n\nInstead:\n\n{instead}"
-
-
-@cache
-def every_page() -> tuple[RulePage, ...]:
-    """All pages in the order of their codes; of two pages of a code, the one about static analysis comes
-    first."""
-    static = [_page(code_of(rule), cleandoc(rule.__doc__ or "").partition(": ")[2]) for rule in STATIC_RULES]
-    return tuple(sorted([*static, *_of_file()], key=lambda page: page.code))
-
-
-def pages_of(code: str) -> tuple[RulePage, ...]:
-    """The pages of one code."""
-    check = RULES[code].check
-    return (
-        tuple(page for page in every_page() if page.code == code)
-        if check is None
-        else (_page(code, cleandoc(check.__doc__ or "")),)
-    )
-
-
-def _page(code: str, text: str) -> RulePage:
-    about, _, rest = text.partition("\n\nExample::\n\n")
-    example, _, instead = rest.partition("\n\nInstead::\n\n")
-    return RulePage(code, about[0].upper() + about[1:], dedent(example), dedent(instead))
-
-
-def _of_file() -> Iterator[RulePage]:
-    findings = Findings()
-    root = parse(Source(PAGES.name, PAGES.read_text(encoding="utf-8")), findings)
-    table = to_data(root) if root else None
-    if not isinstance(table, dict) or len(findings):
-        raise ValueError(f"{PAGES} is broken: {findings}")
-    for code, page in table.items():
-        texts = {part: text.strip() for part, text in page.items() if isinstance(text, str)}
-        yield RulePage(code, deep=page.get("deep") is True, **texts)

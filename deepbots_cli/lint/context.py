@@ -1,12 +1,13 @@
-"""What a rule is given: the checked scenario, its program, the analysis of it, places in the text, and the
-report of a simulation."""
+"""A rule and its code, and what a rule is given: the checked scenario, its program, its analysis, places in
+the text, a simulation."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Generic, Literal, NamedTuple, TypeVar
 
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.compiler import CheckedScenario
@@ -207,5 +208,31 @@ def _identifier(*parts: str) -> str:
     return re.sub(r"\W", "_", "_".join(part for part in parts if part))
 
 
-StaticRule = Callable[[RuleContext], Iterator[Finding]]
-SimulatedRule = Callable[[Simulation], Iterator[Finding]]
+# Rules
+
+C = TypeVar("C")
+F = TypeVar("F")
+
+
+@dataclass(frozen=True)
+class LintRule(Generic[C, F]):
+    """A rule: the code of its findings, and the generator that yields them."""
+
+    code: str
+    check: Callable[[C], Iterator[F]]
+
+    def __call__(self, context: C) -> Iterator[F]:
+        return self.check(context)
+
+
+def rule(code: str) -> Callable[[Callable[[C], Iterator[F]]], LintRule[C, F]]:
+    """A decorator that makes a generator of findings the rule of this code."""
+
+    def with_code(check: Callable[[C], Iterator[F]]) -> LintRule[C, F]:
+        return LintRule(code, check)
+
+    return with_code
+
+
+StaticRule = LintRule[RuleContext, Finding]
+SimulatedRule = LintRule[Simulation, Finding]

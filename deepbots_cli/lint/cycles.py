@@ -33,7 +33,7 @@ from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, Interval, single
 from deepbots_cli.expressions.scalar import EngineRead, Op, Scalar, State
 from deepbots_cli.expressions.types import Operation, walk
-from deepbots_cli.lint.context import RuleContext
+from deepbots_cli.lint.context import RuleContext, rule
 from deepbots_cli.lint.incentives import MIN_WORTH, horizon, hovering, steps_from
 from deepbots_cli.program.values import Expression
 
@@ -79,36 +79,9 @@ class Earned:
     finishing: float
 
 
+@rule("DB716")
 def cycle_pays(context: RuleContext) -> Iterator[Finding]:
-    """DB716: a cycle of states that never ends in success pays more than success.
-
-    The agent learns to repeat the cycle. Three kinds are common. A success must be held for a time, and a
-    term pays in each step of it: the agent interrupts it just in time, and begins again. A bonus is paid at
-    each entry into a region: the agent leaves and enters again. A term pays steps towards the goal, and does
-    not charge steps away from it, as with `max(0, ...)` or `abs(...)`: the agent goes to and fro. Pay at the
-    end of the episode, or pay progress that is charged on the way back (`-10 * delta(distance) / m`), which
-    sums to zero over each cycle.
-
-    The rule follows the reward along such cycles, for half of the episode, and compares this with what
-    success pays from there. To and fro, it assumes 80 % of the largest speed, where wheels or joints limit
-    it. DB708 reports states that pay without change.
-
-    Example::
-
-        augment: {left: abs(x - 30 cm)}
-        observation: {left: 0 .. 0.8 m}
-        reward: {parked: 10 when inside, alive: 0}
-        signals: {inside: left < 5 cm}
-        termination: {success: {done: duration(inside) > 1 s}}
-
-    Instead::
-
-        augment: {left: abs(x - 30 cm)}
-        observation: {left: 0 .. 0.8 m}
-        reward: {parked: 10 when done, alive: 0}
-        signals: {inside: left < 5 cm}
-        termination: {success: {done: duration(inside) > 1 s}}
-    """
+    """A cycle of states that never ends in success pays more than success."""
     if not context.analysis.reward.is_complete or hovering(context) is not None:
         return
     for success in context.program.successes:

@@ -23,7 +23,7 @@ from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, TRUTH, Interval, hull
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar
 from deepbots_cli.expressions.types import referenced_names
-from deepbots_cli.lint.context import RuleContext, Simulation
+from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Thrust
 from deepbots_cli.program.task import ExpectedResult, ScenarioTest
@@ -38,20 +38,9 @@ _MAX_SEEDS = 8
 """Seeds listed in a note."""
 
 
+@rule("DB801")
 def never_true(context: RuleContext) -> Iterator[Finding]:
-    """DB801: an ending can never be true. For example, the joint stops before the limit, a distance would
-    have to be negative, or the limit of an angle is in the wrong unit. Episodes then run to the time limit. A
-    contact between two links of one robot, which never touch each other, is reported wherever an ending uses
-    it.
-
-    Example::
-
-        termination: {failure: {fallen: abs(cart.pole_angle) > 90 deg}}
-
-    Instead::
-
-        termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
-    """
+    """An ending can never be true."""
     silent = [
         {ending.name for ending in analysis.program.endings if _truth_over_episode(analysis, ending) == NEVER}
         for analysis in context.versions
@@ -141,39 +130,18 @@ def _sides(entry: ConditionComparison, ranges: Ranges) -> Iterator[tuple[str, In
             yield entry.value.text[arg.start : arg.end], interval, bounds_text(interval, arg.type.dimension)
 
 
+@rule("DB802")
 def always_true(context: RuleContext) -> Iterator[Finding]:
-    """DB802: an ending holds in every step, so that each episode ends at once.
-
-    Example::
-
-        termination: {failure: {fallen: abs(cart.pole_angle) > -15 deg}}
-
-    Instead::
-
-        termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
-    """
+    """An ending holds in every step, so that each episode ends at once."""
     for ending in context.program.endings:
         if _truth_over_episode(context.analysis, ending) == ALWAYS:
             headline = f"`{ending.name}` is true in every step"
             yield Finding("DB802", ending.span, headline, "write a condition that is not always true")
 
 
+@rule("DB804")
 def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
-    """DB804: one of two limits always comes first, so the other has no effect.
-
-    For example, `max_time` comes after `max_steps`, an ending can become true only after the truncation or
-    after another ending, or an ending always comes before the truncation. An ending at a return above 195,
-    with a reward of 1 per step, ends the best episode in step 196 of 200.
-
-    Example::
-
-        termination: {failure: {enough: episode_return > 195}}
-        truncation: {max_steps: 200}
-
-    Instead::
-
-        truncation: {max_steps: 200}
-    """
+    """One of two limits always comes first, so the other has no effect."""
     yield from _later_limit(context)
     yield from _later_ending(context)
     analysis, last = context.analysis, context.analysis.last_step
@@ -264,22 +232,9 @@ def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
     return names | {f"{part.function}()" for part in nodes if isinstance(part, EngineRead)}
 
 
+@rule("DB805")
 def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
-    """DB805: an ending depends only on the time, which the agent does not observe.
-
-    A time limit is not part of the task, because the world would continue. After a truncation the learner
-    estimates the return that would have followed; after an ending it learns that the state is worthless, for
-    no visible reason. A limit that the policy observes (`observation: {time: 0 .. 10 s}`) is part of the
-    task, and is not reported.
-
-    Example::
-
-        termination: {failure: {late: time > 5 s}}
-
-    Instead::
-
-        truncation: {max_steps: 156}
-    """
+    """An ending depends only on the time, which the agent does not observe."""
     analysis = context.analysis
     shown = {
         name
@@ -297,17 +252,9 @@ def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
             yield Finding("DB805", ending.span, headline, f"limit the episode under `truncation`: {kept}")
 
 
+@rule("DB806")
 def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
-    """DB806: an ending is already true at the start of every episode.
-
-    Example::
-
-        reset: {joints: {cart.pole_hinge: uniform(20 .. 30 deg)}}
-
-    Instead::
-
-        reset: {joints: {cart.pole_hinge: uniform(-1 .. 1 deg)}}
-    """
+    """An ending is already true at the start of every episode."""
     analysis, start = context.analysis, context.analysis.start
     for ending in context.program.endings:
         if ending.foreign is None and start.of(analysis.scalars(ending)[0]) == ALWAYS != _truth_over_episode(
@@ -329,8 +276,9 @@ def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
             )
 
 
+@rule("DB806")
 def sometimes_ends_at_reset(simulation: Simulation) -> Iterator[Finding]:
-    """DB806: an ending holds when an episode begins, with at least one seed."""
+    """An ending holds when an episode begins, with at least one seed."""
     for ending in simulation.program.endings:
         seeds = simulation.report.endings_at_reset.get(ending.name, [])
         if seeds:
@@ -357,8 +305,9 @@ def _help_for_early(program: Program, ending: Expression, help_for_failure: str)
     )
 
 
+@rule("DB808")
 def undefined_value(simulation: Simulation) -> Iterator[Finding]:
-    """DB808: an episode cannot begin or continue, for a reason that no other code reports."""
+    """An episode cannot begin or continue, for a reason that no other code reports."""
     stop, failed = simulation.report.stop or {}, simulation.failed
     if failed is not None and failed.section == "other":
         help = (
@@ -378,24 +327,9 @@ def undefined_value(simulation: Simulation) -> Iterator[Finding]:
         yield Finding("DB808", span, headline, notes=(simulation.when(), str(stop.get("text", ""))))
 
 
+@rule("DB811")
 def after_the_end(context: RuleContext) -> Iterator[Finding]:
-    """DB811: a push, a reading or a message would come only after the end of every episode.
-
-    The rule checks whether three events can occur within an episode (`max_steps`, `max_time`): the first push
-    of a disturbance, the second reading of a sensor, and the first message after the reset. It reports an
-    event that comes too late for every episode of the scenario, its cases and its stages. The usual cause is
-    a wrong unit.
-
-    Example::
-
-        disturbances:
-          knock: {body: cart, force: 5 0 0 N, at: 20 s, duration: 50 ms}
-
-    Instead::
-
-        disturbances:
-          knock: {body: cart, force: 5 0 0 N, at: 2 s, duration: 50 ms}
-    """
+    """A push, a reading or a message would come only after the end of every episode."""
     times = [{path: time for _, time, path in _delays(analysis)} for analysis in context.versions]
     end = max(analysis.last_step * analysis.period for analysis in context.versions)  # s
     for what, time, path in _delays(context.analysis):
@@ -462,29 +396,9 @@ class SolidProfile(NamedTuple):
         return sqrt(max(0.0, self.radius**2 - off**2))
 
 
+@rule("DB807")
 def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
-    """DB807: success requires a distance that cannot be reached: the bodies touch before they are so close,
-    or the target is outside the walls.
-
-    `distance` and `ground_distance` are measured between origins. A robot of 4 cm radius and a ball of 7 cm
-    radius never come closer than 11 cm. `clearance` is measured between surfaces.
-
-    Example::
-
-        objects: {ball: {shape: sphere, radius: 7 cm, fixed: true, pose: {x: 0.3 m, z: 7 cm}}}
-        augment:
-          left: ground_distance(cart, ball)
-        observation: {left: 0 .. 1 m}
-        termination: {success: {there: left < 5 cm}}
-
-    Instead::
-
-        objects: {ball: {shape: sphere, radius: 7 cm, fixed: true, pose: {x: 0.3 m, z: 7 cm}}}
-        augment:
-          left: clearance(cart, ball)
-        observation: {left: 0 .. 1 m}
-        termination: {success: {there: left < 2 cm}}
-    """
+    """Success requires a distance that cannot be reached."""
     if context.program.world.terrain is not None:
         return
     analysis = context.analysis
@@ -626,22 +540,9 @@ def _is_outside(analysis: Analysis, body: str, near: float) -> bool:
     return False
 
 
+@rule("DB813")
 def idle_test(context: RuleContext) -> Iterator[Finding]:
-    """DB813: a test that can only pass, or only fail.
-
-    A condition is true in every step or in none, a rate has no limits, or every ending of the scenario is
-    accepted.
-
-    Example::
-
-        tests:
-          stays_up: {driver: random, expect: {always: abs(x) >= 0 m}}
-
-    Instead::
-
-        tests:
-          stays_up: {driver: random, expect: {always: abs(x) < 0.5 m}}
-    """
+    """A test that can only pass, or only fail."""
     program = context.program
     settings = [
         ("", ""),

@@ -14,7 +14,7 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
-from deepbots_cli.lint.context import RuleContext, Simulation
+from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM, SimulatedEpisode
 from deepbots_cli.program.values import Expression
 
@@ -32,35 +32,9 @@ MIN_WORTH = 0.25
 # Failing early
 
 
+@rule("DB705")
 def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
-    """DB705: failing early costs less than an episode that goes on to its time limit.
-
-    The agent first learns to fail at once. If success is rewarded, continuing is worthwhile only if enough
-    episodes succeed. The finding states the required share, and appears only if it is more than one half.
-    Make a failure cost more than all steps together, or pay for each good step.
-
-    The rule takes the smallest cost of a step that does not end the episode, times the number of steps: those
-    of the episode, or of the horizon of the discount factor if that is shorter. A term with `delta(x)` adds
-    up to the change of x from its start, however many steps there are, so the rule computes its sum from the
-    range of x. In a task with a goal, the rule considers the steps in which the goal is not reached: if each
-    of them costs, as with `-1 when not goal_reached`, a failure that ends the episode ends these costs.
-
-    Example::
-
-        augment: {left: abs(x - 30 cm)}
-        observation: {left: 0 .. 0.8 m}
-        reward: {time: -1, there: 10 when arrived, crash: -5 when off_track}
-        remove: [reward.alive]
-        termination: {success: {arrived: left < 5 cm}}
-
-    Instead::
-
-        augment: {left: abs(x - 30 cm)}
-        observation: {left: 0 .. 0.8 m}
-        reward: {time: -0.01, there: 10 when arrived, crash: -5 when off_track}
-        remove: [reward.alive]
-        termination: {success: {arrived: left < 5 cm}}
-    """
+    """Failing early costs less than an episode that goes on to its time limit."""
     program, reward = context.program, context.analysis.reward
     ordinary, final = reward.split_by_end()
     running = _short_of_the_goal(reward)
@@ -213,9 +187,9 @@ def _short_of_the_goal(reward: RewardTerms) -> Ranges:
     )
 
 
+@rule("DB705")
 def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
-    """DB705: the same for costs that only a simulation knows, such as `-distance`: even the cheapest
-    simulated policy pays them."""
+    """Failing early costs less than even the cheapest simulated policy, as with `-distance`."""
     reward = simulation.analysis.reward
     ordinary, final = reward.split_by_end()
     failure, successes = _cheapest_failure(reward, final), simulation.program.successes
@@ -337,34 +311,9 @@ class _StillRanges(Ranges):
                 return meaning
 
 
+@rule("DB708")
 def hovering_pays(context: RuleContext) -> Iterator[Finding]:
-    """DB708: an episode can collect more reward without success than success pays, because success ends the
-    episode.
-
-    The agent learns to stay just outside the goal, for example 5 mm from the target, or to move within the
-    goal so slowly that it never comes to rest. Reward progress (`-10 * delta(distance) / m`), or make success
-    pay more than the rest of an episode can pay.
-
-    The rule adds up the largest reward of a step in which nothing moves, and in which one condition of the
-    success is only just false. The rule does not report rewards that are small compared with the success
-    after discounting.
-
-    Example::
-
-        augment: {left: abs(x - 30 cm)}
-        observation: {left: 0 .. 0.8 m}
-        reward: {near: 0.1 when left < 10 cm, there: 10 when arrived}
-        termination: {success: {arrived: left < 5 cm}}
-        remove: [reward.alive]
-
-    Instead::
-
-        augment: {left: abs(x - 30 cm)}
-        observation: {left: 0 .. 0.8 m}
-        reward: {nearer: -10 * delta(left) / m, there: 10 when arrived}
-        termination: {success: {arrived: left < 5 cm}}
-        remove: [reward.alive]
-    """
+    """An episode can collect more reward without success than success pays."""
     finding = hovering(context)
     if finding is not None:
         yield finding
@@ -473,8 +422,9 @@ def _just_before(ranges: Ranges, threshold: Threshold | None) -> Ranges:
     return _StillRanges(ranges.analysis, ranges.given, ranges.steps, kept)
 
 
+@rule("DB708")
 def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
-    """DB708: another behavior pays more over a whole episode than success."""
+    """Another behavior pays more over a whole episode than success."""
     successes = simulation.program.successes
     if not successes or not simulation.is_complete:
         return

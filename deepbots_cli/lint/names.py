@@ -24,7 +24,7 @@ from deepbots_cli.expressions.types import (
     referenced_names,
     walk,
 )
-from deepbots_cli.lint.context import RuleContext
+from deepbots_cli.lint.context import RuleContext, rule
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Robot
 from deepbots_cli.program.values import Expression
@@ -34,29 +34,9 @@ from deepbots_cli.program.values import Expression
 _COUNTED_ORIGINS = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
 
 
+@rule("DB205")
 def unused_definition(context: RuleContext) -> Iterator[Finding]:
-    """DB205: a parameter, action variable, message field, signal, sensor, actuator or message value is
-    defined and never used.
-
-    Most often the name is misspelled elsewhere, or the definition is left over from an earlier version. A
-    sensor is used if `emit`, `apply`, the observation or an expression of the task uses it. An actuator
-    without a command has no effect: the joint moves freely. Unused parts of an included robot file are not
-    reported, because they describe the robot and not the task.
-
-    Example::
-
-        signals: {away: abs(x)}
-        robots: {cart: {sensors: {rolling: {type: joint_velocity, joints: [wheel_*]}}}}
-
-    Instead::
-
-        signals: {away: abs(x)}
-        reward: {centered: -away / m}
-        robots:
-          cart:
-            sensors: {rolling: {type: joint_velocity, joints: [wheel_*]}}
-        observation: {cart.rolling: -10 .. 10 rad/s}
-    """
+    """A definition, a sensor, an actuator or a message value that nothing uses."""
     used = {
         name
         for each in context.checked.variants
@@ -168,22 +148,9 @@ _SMOOTH_OPERATIONS = frozenset(
 exactly."""
 
 
+@rule("DB411")
 def equality_of_measures(context: RuleContext) -> Iterator[Finding]:
-    """DB411: a condition requires a measurement to be equal to a number.
-
-    A distance, an angle or a speed has sixteen digits and changes in every step. It passes 20 cm without ever
-    being exactly 20 cm, so `==` is almost never true, and `!=` is almost always true. The rule does not
-    report counts, choices, clamped values and positions of fixed objects, because they can be equal to a
-    number.
-
-    Example::
-
-        reward: {alive: 1, there: 5 when x == 20 cm}
-
-    Instead::
-
-        reward: {alive: 1, there: 5 when abs(x - 20 cm) < 1 cm}
-    """
+    """A condition requires a measurement to be equal to a number."""
     analysis = context.analysis.ideal
     for value in _written(context.program):
         for node in walk(value.typed):
@@ -251,24 +218,9 @@ _PERIODIC_FUNCTIONS = frozenset({"wrap", "sin", "cos", "tan"})
 """Functions for which a full turn makes no difference."""
 
 
+@rule("DB506")
 def angle_jumps(context: RuleContext) -> Iterator[Finding]:
-    """DB506: the change of a heading, or the difference of two headings, jumps by a full turn at 180 deg.
-
-    `yaw`, `bearing`, `atan2` and a compass lie between -180 and 180 deg. A turn from 179 to -179 deg is a
-    turn of 2 deg, but `delta` gives -358 deg. A goal at 170 deg is 11 deg away from a heading of -179 deg,
-    but the difference of the two is 349 deg. A reward or an observation that depends on such a value is wrong
-    for some headings. `wrap` gives the shorter way round; `sin` and `cos` need no `wrap`.
-
-    Example::
-
-        signals: {turned: delta(yaw(cart))}
-        reward: {still: -abs(turned) / rad}
-
-    Instead::
-
-        signals: {turned: wrap(delta(yaw(cart)))}
-        reward: {still: -abs(turned) / rad}
-    """
+    """The change of a heading, or the difference of two headings, jumps by a full turn at 180 deg."""
     values: list[tuple[Expression, Robot | None]] = [(value, None) for value in _written(context.program)]
     for robot in context.program.robots:
         values += [(value, robot) for value in (*robot.emit, *(command.target for command in robot.commands))]

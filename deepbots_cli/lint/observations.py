@@ -18,7 +18,7 @@ from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.intervals import Interval, hull
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.scalar import children as parts_of
-from deepbots_cli.lint.context import RuleContext, Simulation
+from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression, Noise
@@ -99,29 +99,9 @@ def replace_range(
     )
 
 
+@rule("DB614")
 def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
-    """DB614: with hindsight replay, an entry of the observation depends on the goal.
-
-    Hindsight replay (HER) stores each step once more with another goal. It replaces `desired`, which the
-    policy sees anyway, and recomputes the reward. It cannot change an entry of `observation`, so the agent
-    learns from steps with two contradictory goals.
-
-    Example::
-
-        parameters: {mark: uniform(-0.3 .. 0.3 m)}
-        goal: {achieved: position(cart).x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
-        augment: {left: mark - x}
-        observation: {left: -0.8 .. 0.8 m}
-        reward: {alive: 1 when goal_reached}
-        train: {algorithm: DQN, total_timesteps: 50_000, learning_starts: 1000, replay: her}
-
-    Instead::
-
-        parameters: {mark: uniform(-0.3 .. 0.3 m)}
-        goal: {achieved: position(cart).x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
-        reward: {alive: 1 when goal_reached}
-        train: {algorithm: DQN, total_timesteps: 50_000, learning_starts: 1000, replay: her}
-    """
+    """With hindsight replay, an entry of the observation depends on the goal."""
     program = context.program
     if program.agent.goal is None or program.agent.training is None or program.agent.training.replay is None:
         return
@@ -152,28 +132,9 @@ class Linear(NamedTuple):
     offset: float = 0.0
 
 
+@rule("DB616")
 def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
-    """DB616: a value has noise, and the policy sees the exact value elsewhere.
-
-    The policy can use the exact value, for example in `achieved_goal`, and does not learn to cope with noise.
-    The rule treats two values as equal if they differ only by a constant factor and a constant offset. An
-    exact value whose range covers less than a quarter of the range of the noisy value is not reported: it may
-    come from a sensor with a short range.
-
-    Example::
-
-        parameters: {mark: uniform(-0.3 .. 0.3 m)}
-        goal: {achieved: position(cart).x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
-        observation: {x: {range: -0.4 .. 0.4 m, noise: 5 mm}}
-        reward: {alive: 1 when goal_reached}
-
-    Instead::
-
-        parameters: {mark: uniform(-0.3 .. 0.3 m)}
-        augment: {x: {value: position(cart).x, noise: 5 mm}}
-        goal: {achieved: x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
-        reward: {alive: 1 when goal_reached}
-    """
+    """A value has noise, and the policy sees the exact value elsewhere."""
     program, analysis = context.program, context.analysis
     if not any(
         (
@@ -307,21 +268,9 @@ def _shows(shown: RangedNumber, exact: Linear, noisy: RangedNumber, hidden: Line
     return common >= _MIN_COVERED_SHARE * (noisy.high - noisy.low)
 
 
+@rule("DB601")
 def observation_unbounded(context: RuleContext) -> Iterator[Finding]:
-    """DB601: an entry of the observation is not clipped to its range, and can be arbitrarily large.
-
-    A network that was trained on numbers around 1 gives arbitrary outputs for 1000. Such values occur when a
-    robot is thrown, in a collision, or when the physics is unstable for a step. Clipping costs one
-    comparison.
-
-    Example::
-
-        observation: {speed: {range: -0.8 .. 0.8 m/s, clip: false}}
-
-    Instead::
-
-        observation: {speed: -0.8 .. 0.8 m/s}
-    """
+    """An entry of the observation is not clipped to its range, and can be arbitrarily large."""
     analysis = context.analysis
     loose = [
         number
@@ -340,20 +289,9 @@ def observation_unbounded(context: RuleContext) -> Iterator[Finding]:
         )
 
 
+@rule("DB602")
 def bounds_mismatch(context: RuleContext) -> Iterator[Finding]:
-    """DB602: a value never lies within its range in the observation.
-
-    The value is clipped to one end of the range in every step, so the policy sees a constant. The usual
-    causes are a range in another unit, a missing sign, and the range of another value.
-
-    Example::
-
-        observation: {cart.pole_angle: 80 .. 100 deg}
-
-    Instead::
-
-        observation: {cart.pole_angle: -20 .. 20 deg}
-    """
+    """A value never lies within its range in the observation."""
     analysis = context.analysis
     for number in first_of_each_clipped(analysis):
         interval = analysis.ranges.of(number.node)
@@ -373,8 +311,9 @@ def bounds_mismatch(context: RuleContext) -> Iterator[Finding]:
 # Measured in a simulation
 
 
+@rule("DB607")
 def outside_space(simulation: Simulation) -> Iterator[Finding]:
-    """DB607: a number of the observation is NaN, or outside of the observation space."""
+    """A number of the observation is NaN, or outside of the observation space."""
     stop = simulation.report.stop or {}
     if stop.get("kind") == "space":
         for entry in simulation.program.agent.observation:
@@ -403,9 +342,9 @@ def outside_space(simulation: Simulation) -> Iterator[Finding]:
         )
 
 
+@rule("DB608")
 def constant_observation(simulation: Simulation) -> Iterator[Finding]:
-    """DB608: a number was the same in every step. A number at an end of its range is not reported: a sonar
-    may meet nothing."""
+    """A number was the same in every step."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
         return
     still = [
@@ -452,9 +391,9 @@ def _in_units(simulation: Simulation, number: RangedNumber) -> float:
     return value if abs(value) > number.slack else 0.0
 
 
+@rule("DB611")
 def often_saturated(simulation: Simulation) -> Iterator[Finding]:
-    """DB611: under every policy a number is at the same end of its range in most steps, and could lie
-    beyond."""
+    """Under every policy a number is at the same end of its range in most steps, and could lie beyond."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
         return
     met = set()
@@ -489,34 +428,9 @@ def often_saturated(simulation: Simulation) -> Iterator[Finding]:
                 break
 
 
+@rule("DB318")
 def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
-    """DB318: the range `auto` of an observation is the same for all joints of a vector, and the limits of one
-    joint are much tighter.
-
-    All components of a vector share one range. If one joint moves by 52 cm and another by 16 cm, the second
-    uses only a third of [-1, 1], so the policy observes it at low resolution. Observe each joint separately.
-    The rule reports joint positions if one joint uses less than a third of the shared range.
-
-    Example::
-
-        robots:
-          arm:
-            urdf: panda
-            base: fixed
-            joints: {panda_joint2: {range: -10 .. 10 deg}}
-            sensors: {angles: {type: joint_position, joints: [panda_joint1, panda_joint2]}}
-        observation: {arm.angles: auto}
-
-    Instead::
-
-        robots:
-          arm:
-            urdf: panda
-            base: fixed
-            joints: {panda_joint2: {range: -10 .. 10 deg}}
-            sensors: {angles: {type: joint_position, joints: [panda_joint1, panda_joint2]}}
-        observation: {arm.angles.panda_joint1: auto, arm.angles.panda_joint2: auto}
-    """
+    """The range `auto` of several joints is much wider than the limits of one of them."""
     for entry in context.program.agent.observation:
         span, dimension = context.range_span(entry), entry.value.typed.type.dimension
         own = _limits_of_parts(context.program, entry) if span.text == "auto" else []
@@ -550,24 +464,9 @@ def _limits_of_parts(program: Program, entry: Observation) -> list[Interval]:
     return []
 
 
+@rule("DB617")
 def reading_not_supplied(context: RuleContext) -> Iterator[Finding]:
-    """DB617: the policy needs a reading of the world that no robot measures, and `deploy` does not say what
-    supplies it.
-
-    In the simulation, the supervisor reads the world: `position(ball)` is exact and never late. A robot has
-    its sensors only. A scenario with a section `deploy` is meant for a robot, so each such reading needs
-    something that supplies it: a tracker, an estimator, another robot. Write it under `deploy.supplied_by`,
-    or observe a sensor instead. The rule also reports an entry of `supplied_by` that the policy does not
-    need. Scenarios without `deploy` are not checked.
-
-    Example::
-
-        deploy: {supplied_by: {position(cart): cameras}}
-
-    Instead::
-
-        deploy: {supplied_by: {position(cart): cameras, velocity(cart): cameras, velocity(cart.tip): cameras}}
-    """
+    """The policy needs a reading of the world that neither a robot nor `deploy` supplies."""
     spec = context.checked.spec
     if spec is None or spec.deploy is None:
         return

@@ -18,7 +18,7 @@ from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import Scalar, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Typed, children
-from deepbots_cli.lint.context import RuleContext, Simulation
+from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.program.values import Expression
 
 _DOMINANCE_RATIO = 100.0
@@ -42,22 +42,9 @@ class Singularity(NamedTuple):
     is_divisor: bool
 
 
+@rule("DB701")
 def reward_unbounded(context: RuleContext) -> Iterator[Finding]:
-    """DB701: a term of the reward has no bound: its divisor may be zero, or it takes the exponential of an
-    unbounded value.
-
-    A single step with a very small divisor outweighs all other steps, also in the learned value function. At
-    zero the reward is undefined, and training fails with an error. Divisors that a condition (`a if condition
-    else b`) or an ending keeps away from zero are not reported.
-
-    Example::
-
-        reward: {near: 1 / (abs(x) / m)}
-
-    Instead::
-
-        reward: {near: exp(-abs(x) / 10 cm)}
-    """
+    """A term of the reward has no bound."""
     analysis = context.analysis
     search = _PoleSearch(analysis)
     for term in context.program.agent.reward:
@@ -150,22 +137,9 @@ class _PoleSearch:
 # Too large, too small
 
 
+@rule("DB702")
 def term_dominates(context: RuleContext) -> Iterator[Finding]:
-    """DB702: over an episode a term adds up to more than a hundred times what any ending pays.
-
-    The agent cannot learn to reach the goal or to avoid failure, because both have a negligible share of the
-    return. The rule computes the smallest absolute sum of the term in an episode that lasts until the time
-    limit. A term that is the same in every step, such as `alive: 1`, is not reported. In the example, `step`
-    is the number of the step, so the term is -200 at first, and -1 after 200 steps.
-
-    Example::
-
-        reward: {time: -200 / step, fallen_over: -1 when fallen}
-
-    Instead::
-
-        reward: {time: -1 / 200, fallen_over: -1 when fallen}
-    """
+    """Over an episode a term adds up to more than a hundred times what any ending pays."""
     reward = context.analysis.reward
     ordinary, final = reward.split_by_end()
     prize = reward.largest_final(final)
@@ -215,9 +189,9 @@ def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
     return total
 
 
+@rule("DB702")
 def dominating_term(simulation: Simulation) -> Iterator[Finding]:
-    """DB702: under every policy a term adds up to more than a hundred times all other terms, including what
-    endings pay."""
+    """Under every policy, a term adds up to more than a hundred times all other terms and endings."""
     if not simulation.is_complete or not simulation.measured:
         return
     reward = simulation.analysis.reward
@@ -257,21 +231,9 @@ def _short(number: float) -> str:
     return f"{float(f'{number:.3g}'):g}"
 
 
+@rule("DB704")
 def inactive_term(context: RuleContext) -> Iterator[Finding]:
-    """DB704: a term of the reward is zero in every step.
-
-    Its condition is never true, it is a difference of constants, or it has a factor of zero. Links of one
-    robot never touch each other, so the rule also reports every `contact` of two links of one robot. A term
-    that is written as 0, or is multiplied by a parameter of 0, is disabled on purpose, and is not reported.
-
-    Example::
-
-        reward: {alive: 1, upright: 1 when abs(cart.pole_angle) > 90 deg}
-
-    Instead::
-
-        reward: {alive: 1, upright: 1 when abs(cart.pole_angle) < 5 deg}
-    """
+    """A term of the reward is zero in every step."""
     inactive = [_always_zero(analysis) for analysis in context.versions]
     touching = {
         term.name: context.analysis.own_contacts(node) for term, node in context.analysis.reward.terms
@@ -333,9 +295,9 @@ def _is_turned_off(node: Typed, analysis: Analysis) -> bool:
     return any(map(is_off, children(node)))
 
 
+@rule("DB704")
 def silent_term(simulation: Simulation) -> Iterator[Finding]:
-    """DB704: a term without a condition was 0 in every step. One with a condition may wait for a rare event,
-    such as a collision."""
+    """A term without a condition was 0 in every step."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
         return
     analysis = simulation.analysis
@@ -362,8 +324,9 @@ def _is_conditional(node: Typed, analysis: Analysis, met: set[str]) -> bool:
     return any(_is_conditional(part, analysis, met) for part in children(node))
 
 
+@rule("DB707")
 def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
-    """DB707: a term is NaN or infinite."""
+    """A term is NaN or infinite."""
     failed = simulation.failed
     if failed is not None and failed.section == "reward":
         help = (
@@ -376,23 +339,9 @@ def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
 # Returns
 
 
+@rule("DB711")
 def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
-    """DB711: every episode has the same return, whatever the policy does.
-
-    The reward is the same in every step and no ending shortens an episode, so no action is better than
-    another. A constant such as `alive: 1` needs a failure that ends bad episodes early; a constant cost such
-    as `time: -1` needs a success that ends good episodes early. Scenarios without `train` are not reported.
-
-    Example::
-
-        reward: {alive: 1}
-        remove: [termination, parameters.fall_angle, parameters.track]
-
-    Instead::
-
-        reward: {alive: 1}
-        termination: {failure: {fallen: abs(cart.pole_angle) > fall_angle}}
-    """
+    """Every episode has the same return, whatever the policy does."""
     if context.program.agent.training is None or not all(
         return_range(analysis).is_single for analysis in context.versions
     ):
@@ -411,23 +360,9 @@ def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
     yield Finding("DB711", context.program.agent.reward[0].span, headline, help)
 
 
+@rule("DB810")
 def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
-    """DB810: no episode can reach the required mean return, or every episode does.
-
-    If no episode can reach it, training never stops early, no policy counts as solved, and a stage of a
-    curriculum never ends. If every episode reaches it, every policy counts as solved, and a stage ends at
-    once. The rule computes the bounds of the return from the rewards of the steps and of the endings: 200
-    steps of `alive: 1` give at most 200. Where wheels on flat ground or motors limit a speed, it takes this
-    limit: a robot that drives with 0.2 m/s comes 2 m closer in 10 s at most.
-
-    Example::
-
-        solved: mean_return >= 500 over 100 episodes
-
-    Instead::
-
-        solved: mean_return >= 195 over 100 episodes
-    """
+    """No episode can reach the required mean return, or every episode does."""
     for analysis, wanted, path in _wanted_returns(context):
         possible = return_range(analysis)
         if wanted > possible.high + _ROUNDING * abs(possible.high):

@@ -21,7 +21,7 @@ from deepbots_cli.expressions.types import Reference
 from deepbots_cli.expressions.types import walk as walk_typed
 from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Frame, Triple, quaternion
-from deepbots_cli.lint.context import RuleContext, Simulation
+from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.lint.simulation import (
     ARENA,
     MAX_SINK,
@@ -69,24 +69,9 @@ _JOINT_KEYS = ("joint", "joints")
 # Commands and actuators
 
 
+@rule("DB312")
 def command_cut_off(context: RuleContext) -> Iterator[Finding]:
-    """DB312: most commands of the agent are beyond the limits of an actuator, so most actions have the same
-    effect.
-
-    A speed beyond the limit of the motor, a thrust beyond its range and a position beyond the stop of the
-    joint are clipped. If the actuator can follow less than a quarter of the range of commands, few actions
-    make a difference, and exploration has little effect. Commands that depend on sensors are not reported.
-
-    Example::
-
-        parameters: {wheel_speed: 500 rad/s}
-        action: {drive: -1 .. 1}
-
-    Instead::
-
-        parameters: {wheel_speed: 10 rad/s}
-        action: {drive: -1 .. 1}
-    """
+    """Most commands of the agent are beyond the limits of an actuator."""
     analysis = context.analysis
     for robot in context.program.robots:
         for command in robot.commands:
@@ -152,30 +137,9 @@ def _follows_action(analysis: Analysis, target: Scalar, robot: Robot) -> bool:
     return True
 
 
+@rule("DB313")
 def joint_driven_twice(context: RuleContext) -> Iterator[Finding]:
-    """DB313: two actuators drive the motor of the same joint, so the command of the first one is lost. A
-    joint has one motor, and the last command overrides the others. The usual cause is a copied line, such as
-    the left wheels twice: the right wheels then have no actuator. A torque or a spring (`stiffness`) adds to
-    the motor, and is not reported.
-
-    Example::
-
-        robots:
-          cart:
-            actuators:
-              wheels: {type: velocity_motor, joints: ["*_left"], max_torque: 10 N*m}
-              right:  {type: velocity_motor, joints: ["*_left"], max_torque: 10 N*m}
-            apply: {right: drive * wheel_speed}
-
-    Instead::
-
-        robots:
-          cart:
-            actuators:
-              wheels: {type: velocity_motor, joints: ["*_left"], max_torque: 10 N*m}
-              right:  {type: velocity_motor, joints: ["*_right"], max_torque: 10 N*m}
-            apply: {right: drive * wheel_speed}
-    """
+    """Two actuators drive the motor of the same joint, so the command of the first one is lost."""
     for robot in context.program.robots:
         driving: dict[str, str] = {}
         for command in robot.commands:
@@ -206,36 +170,9 @@ def _held_joints(actuator: Actuator) -> tuple[str, ...]:
             return ()
 
 
+@rule("DB314")
 def limp_at_start(context: RuleContext) -> Iterator[Finding]:
-    """DB314: an arm sinks at the start of an episode, because the first command reaches its torque motors
-    late. A torque motor exerts no torque until its first command, but position and velocity motors keep the
-    joint in place. The rule reports joints of robots with a fixed base that gravity moves by more than 2 deg
-    or 5 mm in this time, if the motor is strong enough to hold them.
-
-    Example::
-
-        messages: {to_robot: {latency: 100 ms}}
-        robots:
-          arm:
-            urdf: package://pybullet_data/kuka_iiwa/model.urdf
-            base: fixed
-            pose: {y: 2 m}
-            actuators: {shoulder: {type: torque_motor, joint: lbr_iiwa_joint_2}}
-            apply: {shoulder: -60 N*m}
-        reset: {joints: {arm.lbr_iiwa_joint_2: 60 deg}}
-
-    Instead::
-
-        messages: {to_robot: {latency: 100 ms}}
-        robots:
-          arm:
-            urdf: package://pybullet_data/kuka_iiwa/model.urdf
-            base: fixed
-            pose: {y: 2 m}
-            actuators: {shoulder: {type: position_motor, joint: lbr_iiwa_joint_2}}
-            apply: {shoulder: 60 deg}
-        reset: {joints: {arm.lbr_iiwa_joint_2: 60 deg}}
-    """
+    """An arm sinks at the start of an episode, because the first command reaches its torque motors late."""
     program, analysis, values = context.program, context.analysis, context.values
     if program.reset.settle or any(varied.what == "gravity" for varied in program.reset.variations):
         return
@@ -367,8 +304,9 @@ def _moved(
 # Measured in a simulation
 
 
+@rule("DB315")
 def pose_out_of_reach(simulation: Simulation) -> Iterator[Finding]:
-    """DB315: a `cartesian` actuator is commanded to a pose that the inverse kinematics does not reach."""
+    """A `cartesian` actuator is commanded to a pose that the inverse kinematics does not reach."""
     reported: set[tuple[str, str]] = set()
     for miss in simulation.report.misses:
         if (miss.turn or miss.unreached_commands >= _MIN_MISS_SHARE * miss.commands) and (
@@ -423,9 +361,9 @@ def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
     return Finding("DB315", span, headline, help, notes=notes)
 
 
+@rule("DB322")
 def robot_stays(simulation: Simulation) -> Iterator[Finding]:
-    """DB322: no action moves or turns a robot, although its wheels turn: they slip, or do not touch the
-    ground."""
+    """No action moves or turns a robot, although its wheels turn: they slip, or do not touch the ground."""
     if not simulation.is_complete:
         return
     for robot, rolling in simulation.report.rolling.items():
@@ -484,24 +422,9 @@ def _links_beside_wheels(model: RobotModel, wheels: tuple[str, ...]) -> Iterator
 # Limits of the robot file
 
 
+@rule("DB319")
 def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
-    """DB319: a motor without a limit of torque or force.
-
-    The limit of a motor is the `effort` of its joint in the robot file, or `max_torque` of the actuator.
-    deepbots treats `effort="0"` as missing, because many files contain 0 for driven joints. A motor without a
-    limit follows its command under any load, and pushes everything aside. Torque motors and springs
-    (`stiffness`) are not reported: their command limits them.
-
-    Example::
-
-        robots: {cart: {actuators: {pole: {type: position_motor, joint: pole_hinge}}, apply: {pole: drive * 10
-            deg}}}
-
-    Instead::
-
-        robots: {cart: {actuators: {pole: {type: position_motor, joint: pole_hinge, max_torque: 2 N*m}},
-            apply: {pole: drive * 10 deg}}}
-    """
+    """A motor without a limit of torque or force."""
     for robot in context.program.robots:
         model = context.analysis.body(robot.name).model
         for actuator in robot.actuators:
@@ -524,44 +447,9 @@ def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
             yield Finding("DB319", span, headline, help, notes=notes)
 
 
+@rule("DB317")
 def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
-    """DB317: the limits of a joint in a robot file were probably meant in degrees.
-
-    URDF uses radians: `upper="90"` is more than 14 turns. The range `auto` of an observation takes these
-    limits, and is then far too wide. The rule reports a turning joint that an actuator, a sensor or an
-    expression uses, if its limits are whole numbers and the larger one is from 10 to 360. Joints of several
-    turns, whose limits are multiples of pi, and very large limits that mean "no limit" are not reported.
-
-    Example::
-
-        <robot name="table">
-          <link name="base"/>
-          <link name="plate">
-            <inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0"
-            izz="0.01"/></inertial>
-          </link>
-          <joint name="tilt" type="revolute">
-            <parent link="base"/>
-            <child link="plate"/>
-            <limit lower="-15" upper="15" effort="20" velocity="2"/>
-          </joint>
-        </robot>
-
-    Instead::
-
-        <robot name="table">
-          <link name="base"/>
-          <link name="plate">
-            <inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0"
-            izz="0.01"/></inertial>
-          </link>
-          <joint name="tilt" type="revolute">
-            <parent link="base"/>
-            <child link="plate"/>
-            <limit lower="-0.2618" upper="0.2618" effort="20" velocity="2"/>
-          </joint>
-        </robot>
-    """
+    """The limits of a joint in a robot file were probably meant in degrees."""
     program = context.program
     trees = [tree for value in program.computed_expressions for tree in value.scalars]
     read = {node.subjects[0] for tree in trees for node in walk(tree) if isinstance(node, EngineRead)}
@@ -596,28 +484,9 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
 # Rays
 
 
+@rule("DB615")
 def rays_meet_nothing(context: RuleContext) -> Iterator[Finding]:
-    """DB615: the rays of a lidar, a sonar, an infrared or a laser sensor pass over everything in the world,
-    or begin below the ground.
-
-    Rays that pass above every body never hit one, and rays that begin below the ground meet nothing: every
-    reading is the maximum of the range, and the policy learns nothing from it. The walls of an arena are 10
-    cm high by default. The rule compares the height of the rays with the ground and with the top of all solid
-    bodies. It needs a robot that stands level on flat ground or has a fixed base, and a sensor that no joint
-    raises or tilts; rays that meet the ground within their range are not reported.
-
-    Example::
-
-        world: {arena: {size: 12 2 m}}
-        robots: {cart: {sensors: {ahead: {type: sonar, link: body, pose: {z: 20 cm}, range: 0 .. 8 m}}}}
-        observation: {cart.ahead: auto}
-
-    Instead::
-
-        world: {arena: {size: 12 2 m, wall_height: 50 cm}}
-        robots: {cart: {sensors: {ahead: {type: sonar, link: body, pose: {z: 20 cm}, range: 0 .. 8 m}}}}
-        observation: {cart.ahead: auto}
-    """
+    """The rays of a sensor pass over everything in the world, or begin below the ground."""
     here, variants = Heights(context.analysis), [Heights(analysis) for analysis in context.versions[1:]]
     for robot in context.program.robots:
         for sensor in robot.sensors:
@@ -631,8 +500,9 @@ def rays_meet_nothing(context: RuleContext) -> Iterator[Finding]:
                 yield _buried(context.values, robot.name, sensor.name, depth)
 
 
+@rule("DB615")
 def measured_rays_meet_nothing(simulation: Simulation) -> Iterator[Finding]:
-    """DB615: the same for robots whose height does not follow from the scenario."""
+    """The same as `rays_meet_nothing`, for robots whose height does not follow from the scenario."""
     if not simulation.is_complete:
         return
     heights = Heights(simulation.analysis)

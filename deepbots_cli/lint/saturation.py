@@ -17,7 +17,7 @@ from deepbots_cli.expressions.dimensions import ACCELERATION
 from deepbots_cli.expressions.intervals import NEVER, SIGNED_UNIT, Interval
 from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, Scalar
 from deepbots_cli.expressions.types import Typed, walk
-from deepbots_cli.lint.context import RuleContext
+from deepbots_cli.lint.context import RuleContext, rule
 from deepbots_cli.lint.observations import RangedNumber, first_of_each_clipped, ranged_numbers, replace_range
 from deepbots_cli.program.values import Expression
 
@@ -30,24 +30,9 @@ _MIN_VISIBLE_SHARE = 0.05
 _MAX_BISECTIONS = 40
 
 
+@rule("DB603")
 def saturates_before_termination(context: RuleContext) -> Iterator[Finding]:
-    """DB603: a value leaves its range in the observation before it ends the episode: the agent cannot see the
-    failure coming.
-
-    Between the end of the range and the limit the policy sees a constant, exactly where it has to act. The
-    rule also checks values that are computed from the value in the condition, such as `clamp(x / track, -1 ..
-    1)`. It reports nothing if at least one entry of the observation still changes up to the limit.
-
-    Example::
-
-        observation: {cart.pole_angle: -0.23 .. 0.23 rad}
-        termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
-
-    Instead::
-
-        observation: {cart.pole_angle: -20 .. 20 deg}
-        termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
-    """
+    """A value leaves its range in the observation before it ends the episode."""
     analysis = context.analysis.ideal
     ranges = analysis.ranges
     shown = [(number, _parts(analysis, number.node)) for number in ranged_numbers(analysis)]
@@ -189,23 +174,9 @@ def _part_of(comparison: ConditionComparison, analysis: Analysis, quantity: Scal
     return None
 
 
+@rule("DB611")
 def observation_saturates(context: RuleContext) -> Iterator[Finding]:
-    """DB611: a value is at the end of its range in normal operation: an accelerometer at rest, or a start
-    beyond the range.
-
-    An accelerometer at rest reads the acceleration of gravity, upwards. If its range ends below this value,
-    the axis is constant while the robot stands. A value that begins outside its range is constant as well.
-
-    Example::
-
-        robots: {cart: {sensors: {accel: {type: accelerometer, link: body}}}}
-        observation: {cart.accel: -5 .. 5 m/s^2}
-
-    Instead::
-
-        robots: {cart: {sensors: {accel: {type: accelerometer, link: body}}}}
-        observation: {cart.accel: -15 .. 15 m/s^2}
-    """
+    """A value is at the end of its range in normal operation."""
     yield from _saturated_at_start(context)
     yield from _goal_out_of_range(context)
     yield from _saturated_by_gravity(context)

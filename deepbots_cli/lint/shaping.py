@@ -22,7 +22,7 @@ from deepbots_cli.expressions.intervals import NEVER, Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.expressions.unification import negated_text
-from deepbots_cli.lint.context import RuleContext
+from deepbots_cli.lint.context import RuleContext, rule
 from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.sensors import SENSORS
 
@@ -36,29 +36,9 @@ _RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity"})
 """Facts that do not depend on where a body is."""
 
 
+@rule("DB703")
 def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
-    """DB703: a reward has the wrong sign: a failure pays, a success costs, or progress towards success costs.
-
-    The agent learns the reward as it is written. With the reward printed in the paper for PitEscape, which
-    has the wrong sign, the agent learns to stay at the bottom.
-
-    The rule reports a term that decreases while a quantity approaches the value that success requires, if no
-    other term increases. It treats all distance functions of the same two bodies as one quantity.
-
-    Example::
-
-        augment: {left: abs(x - 30 cm)}
-        observation: {left: 0 .. 0.8 m}
-        reward: {nearer: 10 * delta(left) / m}
-        termination: {success: {arrived: left < 5 cm}}
-
-    Instead::
-
-        augment: {left: abs(x - 30 cm)}
-        observation: {left: 0 .. 0.8 m}
-        reward: {nearer: -10 * delta(left) / m}
-        termination: {success: {arrived: left < 5 cm}}
-    """
+    """A reward has the wrong sign: a failure pays, a success costs, or progress towards success costs."""
     reward, program = context.analysis.reward, context.program
     ordinary, final = reward.split_by_end()
     for term, node in final:
@@ -202,27 +182,9 @@ def _sum(slopes: list[float | None]) -> float | None:
     return None
 
 
+@rule("DB706")
 def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
-    """DB706: the reward depends on a value that differs between episodes and that the policy does not
-    observe.
-
-    The value is a drawn parameter, such as a target or a command, or the position of a body that neither the
-    observation nor a sensor shows. The agent can only learn the action that is best on average. Shaping by
-    values that only the supervisor knows, such as a path around obstacles to a visible target, is not
-    reported.
-
-    Example::
-
-        parameters: {aim: uniform(-0.2 .. 0.2 m)}
-        reward: {near: -abs(x - aim) / m}
-
-    Instead::
-
-        parameters: {aim: uniform(-0.2 .. 0.2 m)}
-        augment: {left: x - aim}
-        observation: {left: -0.6 .. 0.6 m}
-        reward: {near: -abs(left) / m}
-    """
+    """The reward depends on a value that differs between episodes and that the policy does not observe."""
     analysis, program = context.analysis.ideal, context.program
     shown = [entry.value for entry in program.agent.observation]
     shown += (
@@ -259,25 +221,9 @@ def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
             yield Finding("DB706", term.span, headline, help, labels=tuple(labels))
 
 
+@rule("DB710")
 def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
-    """DB710: a term pays more as the episode approaches a failure.
-
-    The agent learns to stay close to the failure, or to cause it. The usual cause is a missing sign. The rule
-    checks lengths and angles that are deviations from zero (`abs(x)`, `tilt(robot)`, a distance) and that
-    cause a failure when they are large. It reports a term that pays more just below the limit than at zero,
-    whatever the other values are. It reports nothing if another term or a success uses the same quantity: the
-    approach may then be intended. Speeds are not checked.
-
-    Example::
-
-        reward: {near: abs(x) / m}
-        termination: {failure: {off_track: abs(x) > 39 cm}}
-
-    Instead::
-
-        reward: {near: exp(-abs(x) / 20 cm)}
-        termination: {failure: {off_track: abs(x) > 39 cm}}
-    """
+    """A term pays more as the episode approaches a failure."""
     analysis, reward = context.analysis, context.analysis.reward
     if context.program.agent.goal is not None or not reward.is_complete:
         return

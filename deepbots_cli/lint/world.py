@@ -21,7 +21,7 @@ from deepbots_cli.expressions.functions import contains_draw
 from deepbots_cli.expressions.intervals import ALWAYS, single
 from deepbots_cli.expressions.scalar import EngineRead
 from deepbots_cli.expressions.types import Known, referenced_names
-from deepbots_cli.lint.context import RuleContext, Simulation
+from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.lint.observations import may_be_noisy
 from deepbots_cli.lint.simulation import MeasuredOverlap
 from deepbots_cli.program import Program
@@ -57,49 +57,9 @@ up to 0.5 m/s from 10 mm (physics steps of 8 and of 1 ms); a fall of 1 mm gives 
 # Objects, robots and engines
 
 
+@rule("DB323")
 def falls_without_end(context: RuleContext) -> Iterator[Finding]:
-    """DB323: a robot falls without end, because its base is free and nothing of it collides with the ground.
-
-    The rule applies to a robot without `base: fixed` whose robot file has no <collision>, and which has no
-    thrusters. An arm is bolted to the ground: write `base: fixed` under its name in `robots`. `deepbots new
-    --urdf` writes it for an arm.
-
-    Example::
-
-        <robot name="lever">
-          <link name="foot">
-            <inertial><mass value="2"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0"
-            izz="0.01"/></inertial>
-          </link>
-          <link name="arm">
-            <inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0"
-            izz="0.01"/></inertial>
-          </link>
-          <joint name="shoulder" type="revolute">
-            <parent link="foot"/>
-            <child link="arm"/>
-            <limit lower="-1" upper="1" effort="20" velocity="2"/>
-          </joint>
-        </robot>
-
-    Instead::
-
-        <robot name="lever">
-          <link name="foot">
-            <inertial><mass value="2"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0"
-            izz="0.01"/></inertial> <collision><geometry><box size="0.2 0.2 0.1"/></geometry></collision>
-          </link>
-          <link name="arm">
-            <inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0"
-            izz="0.01"/></inertial>
-          </link>
-          <joint name="shoulder" type="revolute">
-            <parent link="foot"/>
-            <child link="arm"/>
-            <limit lower="-1" upper="1" effort="20" velocity="2"/>
-          </joint>
-        </robot>
-    """
+    """A robot falls without end, because its base is free and nothing of it collides with the ground."""
     program, values = context.program, context.values
     lifted = {
         robot.name
@@ -120,14 +80,9 @@ def falls_without_end(context: RuleContext) -> Iterator[Finding]:
         yield Finding("DB323", values.span_of_first(("robots", body.name), "base", "urdf"), headline, help)
 
 
+@rule("DB316")
 def beyond_engine(context: RuleContext) -> Iterator[Finding]:
-    """DB316: the physics engine is not installed, or does not support a part of the world.
-
-    The rule applies if `world.engine` or `--engine` names the engine. PyBullet has no builds for Windows, and
-    none beyond Python 3.11: MuJoCo is used there. MuJoCo uses the convex hull of a mesh, so a mesh cannot be
-    the ground. MuJoCo does not accept an inertia that no rigid body can have. Some engines of other packages
-    do not simulate `<mimic>`.
-    """
+    """The physics engine is not installed, or does not support a part of the world."""
     world, kind = context.program.world, ENGINES.get(context.program.engine or "")
     terrain = world.terrain
     if kind is None:
@@ -162,25 +117,9 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
                     )
 
 
+@rule("DB507")
 def odd_scale(context: RuleContext) -> Iterator[Finding]:
-    """DB507: the size or the mass of an object or of a robot is implausible.
-
-    A puck with `radius: 4 m` is 8 m across; its radius is probably in centimeters. The rule reports an object
-    in which a robot begins, and which is at least four times as large as this robot; a movable object with a
-    density below 0.1 or above 25 000 kg/m^3 (air: 1.2, osmium: 22 600); and a movable object that is 100 000
-    times as heavy as all robots together. For an object that must not move, write `fixed: true` instead of a
-    large mass. It also reports a robot of at least 10 m whose mass is less than 10 mg for each cube of 1 m in
-    that of its length: lengths in a robot file are in meters, and these are probably in millimeters.
-
-    Example::
-
-        objects: {puck: {shape: cylinder, radius: 4 m, height: 3 cm, mass: 200 g, pose: {x: 50 cm, z: 10 cm}}}
-
-    Instead::
-
-        objects: {puck: {shape: cylinder, radius: 4 cm, height: 3 cm, mass: 200 g, pose: {x: 50 cm, z: 10
-            cm}}}
-    """
+    """The size or the mass of an object or of a robot is implausible."""
     world, values = context.program.world, context.values
     sizes = [
         (robot, max(footprint.box_sides(footprint.robot_bounds(footprint.without_meshes(robot.model)))))
@@ -328,8 +267,9 @@ _KINDS = {
 }
 
 
+@rule("DB309")
 def unstable_simulation(simulation: Simulation) -> Iterator[Finding]:
-    """DB309: the engine crashes, hangs, or computes impossible motion."""
+    """The engine crashes, hangs, or computes impossible motion."""
     halt, stop = simulation.report.halt, simulation.report.stop
     if halt is not None and halt.kind in _KINDS:
         headline, help = _KINDS[halt.kind]
@@ -389,23 +329,9 @@ def _body_in(simulation: Simulation, text: str) -> str:
 # Resets
 
 
+@rule("DB809")
 def identical_episodes(context: RuleContext) -> Iterator[Finding]:
-    """DB809: nothing is random, so all episodes are the same.
-
-    Physics is deterministic. A policy without noise behaves the same in all episodes of an evaluation: the
-    standard deviation of their returns is 0, and they test only one start. The rule treats draws, noise, lost
-    messages, positions in a region, several layouts and Python code as random. It does not report scenarios
-    with several cases of the evaluation or stages of a curriculum. If one start is intended, one episode is
-    enough: `evaluation: {episodes: 1}`.
-
-    Example::
-
-        reset: {joints: {cart.pole_hinge: 1 deg}}
-
-    Instead::
-
-        reset: {joints: {cart.pole_hinge: uniform(-1 .. 1 deg)}}
-    """
+    """Nothing is random, so all episodes are the same."""
     program = context.program
     if (
         program.agent.training is None
@@ -472,28 +398,9 @@ def _draws_coordinates(place: Placement) -> bool:
     return any(contains_draw(coordinate.typed) for coordinate in place.coordinates.values())
 
 
+@rule("DB812")
 def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
-    """DB812: `reset.require` depends only on drawn parameters, which are not drawn again when the requirement
-    does not hold.
-
-    If a start does not meet the requirement, deepbots draws the layout, all positions and the joints again,
-    at most `reset.attempts` times. Parameters keep their values for the episode, so the requirement stays
-    false, and the reset fails. Draw the parameter from values that meet the requirement, or draw a position
-    under `reset.place` instead.
-
-    Example::
-
-        parameters: {mark: uniform(-0.3 .. 0.3 m)}
-        augment: {left: mark - x}
-        observation: {left: -0.8 .. 0.8 m}
-        reset: {require: abs(mark) > 10 cm}
-
-    Instead::
-
-        parameters: {side: choice(-1 | 1), mark: side * uniform(0.1 .. 0.3 m)}
-        augment: {left: mark - x}
-        observation: {left: -0.8 .. 0.8 m}
-    """
+    """`reset.require` depends only on parameters, which are not drawn again if it does not hold."""
     program, analysis, require = context.program, context.analysis, context.program.reset.require
     if require is None:
         return
@@ -552,8 +459,9 @@ def _is_drawn_again(program: Program, places: list[Placement], bent: set[str]) -
     return joints or moved or (bool(places) and len(program.reset.layouts) > 1)
 
 
+@rule("DB310")
 def spawn_overlap(simulation: Simulation) -> Iterator[Finding]:
-    """DB310: bodies overlap at the start; one pair is reported for all copies of a group."""
+    """Bodies overlap at the start; one pair is reported for all copies of a group."""
     deepest: dict[frozenset[str], MeasuredOverlap] = {}
     for overlap in simulation.report.overlaps:
         pair = frozenset(name.partition("#")[0] for name, _ in (overlap.one, overlap.other))

@@ -25,7 +25,7 @@ from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS, Form, Function
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import Kind, Symbol, Type, shortened_list, walk
-from deepbots_cli.lint import pages_of
+from deepbots_cli.lint.pages import pages_of
 from deepbots_cli.lsp.cursor import value_at
 from deepbots_cli.lsp.workspace import CursorView, Document, Locator, uri_of
 from deepbots_cli.robots import meshes

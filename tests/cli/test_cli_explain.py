@@ -14,7 +14,8 @@ from deepbots_cli.cli.commands.explain import Topic, topics
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RULES
 from deepbots_cli.document import loads
-from deepbots_cli.lint import all_findings, every_page
+from deepbots_cli.lint import all_findings
+from deepbots_cli.lint.pages import every_page
 
 ROOT = Path(__file__).parents[2]
 

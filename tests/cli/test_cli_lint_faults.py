@@ -14,21 +14,23 @@ import pytest
 from deepbots_cli import api, lint
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics import Source as SourceText
-from deepbots_cli.lint.context import RuleContext, Simulation
+from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.lsp.server import diagnostics
 from deepbots_cli.lsp.workspace import Document, analyze
 from deepbots_cli.rollout.source import Source
 
 
+@rule("DB801")
 def breaking(context: RuleContext) -> Iterator[Finding]:
-    """DB801: fails on the scenario that is named Broken."""
+    """Fails on the scenario that is named Broken."""
     if context.program.name == "Broken":
         raise IndexError("tuple index\nout of range")
     yield from ()
 
 
+@rule("DB702")
 def breaking_too(simulation: Simulation) -> Iterator[Finding]:
-    """DB702: fails on every scenario."""
+    """Fails on every scenario."""
     raise KeyError(simulation.checked.document.path.name)
 
 

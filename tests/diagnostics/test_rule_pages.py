@@ -3,8 +3,6 @@ none of that code."""
 
 from __future__ import annotations
 
-import re
-from inspect import cleandoc
 from pathlib import Path
 
 import pytest
@@ -18,21 +16,17 @@ from deepbots_cli.lint import (
     EXPLOIT_RULES,
     SIMULATED_RULES,
     STATIC_RULES,
-    RulePage,
-    code_of,
-    every_page,
     find_exploits,
     simulate,
     static_findings,
 )
-from deepbots_cli.lint.context import StaticRule
+from deepbots_cli.lint.pages import RulePage, every_page
 from deepbots_cli.robots.reader import read
 from tests.few import few
 
 pytestmark = pytest.mark.usefixtures("simulated_here")
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
-SHAPE = re.compile(r"(DB\d{3}): .*?\n\nExample::\n\n(.*?)\n\nInstead::\n\n(.*)", re.DOTALL)
 
 
 MEASURED = """\
@@ -75,13 +69,6 @@ def codes(text: str, page: RulePage, folder: Path) -> set[str]:
     return {finding.code for finding in (*kept, *unused)}
 
 
-@pytest.mark.parametrize(
-    "rule", [rule for rule in STATIC_RULES if code_of(rule) != "DB316"], ids=lambda rule: rule.__name__
-)
-def test_the_docstring_of_a_rule_is_a_page(rule: StaticRule) -> None:
-    assert SHAPE.fullmatch(cleandoc(rule.__doc__ or ""))
-
-
 def named(page: RulePage) -> str:
     return f"{page.code}{'-deep' * page.deep}"
 
@@ -116,17 +103,20 @@ def test_every_finding_has_a_page_and_all_but_four_an_example() -> None:
 
 def test_a_rule_is_in_the_catalog_under_the_name_of_its_function() -> None:
     for rule in STATIC_RULES:
-        name = rule.__name__.replace("_", "-")
-        assert RULES[code_of(rule)].name == name
+        assert RULES[rule.code].name == rule.check.__name__.replace("_", "-")
 
 
 def test_what_a_simulation_finds_has_a_page_of_its_own() -> None:
     deep = {code for code, entry in RULES.items() if entry.deep != "no"}
     assert (
         deep
-        == set(map(code_of, (*SIMULATED_RULES, *EXPLOIT_RULES)))
+        == {rule.code for rule in (*SIMULATED_RULES, *EXPLOIT_RULES)}
         == {page.code for page in every_page() if page.deep}
     )
+
+
+def test_what_the_text_tells_has_a_page_of_its_own() -> None:
+    assert {rule.code for rule in STATIC_RULES} <= {page.code for page in every_page() if not page.deep}
 
 
 def test_a_comment_about_what_a_simulation_finds_is_of_use_where_there_was_none() -> None:

@@ -22,7 +22,7 @@ from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.dimensions import UNITS, suggest_unit
 from deepbots_cli.expressions.functions import FUNCTIONS
-from deepbots_cli.lint import pages_of
+from deepbots_cli.lint.pages import pages_of
 from deepbots_cli.scenario.base import (
     Kinds,
     Section,

@@ -574,7 +574,7 @@ def report(
 
 
 def _page(code: str) -> tuple[str, str]:
-    from deepbots_cli.lint import pages_of
+    from deepbots_cli.lint.pages import pages_of
 
     pages = pages_of(code)
     return "\n\n".join(page.text() for page in pages), "\n\n".join(page.markdown() for page in pages)
