@@ -10,7 +10,7 @@ tables.py      tables as text
 inspection.py  the tables of `inspect`
 records.py     results of trainings and evaluations as text, JSON, CSV and JUnit
 retries.py     the attempts of `train --retry`: their table, and their values in a scenario file
-throughput.py  the measurements of `bench` for several engines and batches
+throughput.py  the speed of engines, as commands print it
 exploits.py    what `lint --exploits` keeps: recordings, and which tasks were searched
 starters/      the scenarios that `new` writes
 glossary.yaml  the glossary: what `explain` prints and docs/reference/glossary.md holds

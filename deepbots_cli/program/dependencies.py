@@ -14,7 +14,10 @@ Node = tuple[Robot | None, Scalar]
 
 
 class Definitions:
-    """The values that a program names. `fields` are what robots send, by full name; the robot of each computes it."""
+    """The values that a program names.
+
+    `fields` are what robots send, by full name, each with the robot that computes it.
+    """
 
     def __init__(self, program: Program) -> None:
         self.parameters = {value.name: value for value in program.parameters}
@@ -26,9 +29,9 @@ class Definitions:
         }
 
     def nodes(self, trees: Iterable[Scalar]) -> Iterator[Node]:
-        """The nodes of trees of the supervisor, each name before the nodes of its definition; every definition once.
+        """The nodes of trees of the supervisor, and after each name those of its definition, once.
 
-        A parameter is a leaf, and on a robot the names of its sensors are.
+        A parameter has no definition here, and a sensor has none.
         """
         return self._nodes(trees, None, set())
 
