@@ -9,7 +9,9 @@ terminal.py    output, color, progress
 tables.py      tables as text
 inspection.py  the tables of `inspect`
 records.py     results of trainings and evaluations as text, JSON, CSV and JUnit
-retries.py     the attempts of `train --retry`: their table, and their values in a scenario file
+trainings.py   the results of `train` and `resume`, and training_page.py the page beside them
+retries.py     the attempts of `train --retry`
+studies.py     the display and the table of a study of `tune`
 throughput.py  the speed of engines, as commands print it
 exploits.py    what `lint --exploits` keeps: recordings, and which tasks were searched
 starters/      the scenarios that `new` writes

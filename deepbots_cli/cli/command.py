@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import sys
 from collections.abc import Callable, Sequence
 from functools import cache, wraps
 from importlib import import_module
@@ -163,6 +164,11 @@ def seed_list(text: str) -> tuple[int, ...]:
     return tuple(seeds)
 
 
+def names(texts: Sequence[str] | None) -> tuple[str, ...]:
+    """The names of an option that may be repeated; `none` alone stands for no name."""
+    return () if texts is None or list(texts) == ["none"] else tuple(texts)
+
+
 def fraction(text: str) -> float:
     """A parser: a number from 0 to 1, written `0.8` or `80%`."""
     from deepbots_cli.scenario.fields import read_fraction
@@ -226,6 +232,25 @@ Workers = Annotated[int | None, option("--workers N", "Use N processes of this m
 ClusterAddress = Annotated[
     str | None,
     option("--cluster ADDRESS", "Use the Ray cluster at HOST:PORT, or with `auto` the one of this machine.", ADVANCED),
+]
+Quiet = Annotated[bool, option("--quiet -q", "Print no progress.", OUTPUT)]
+Page = Annotated[bool, option("--view", "Show the newest policy in the browser while it is trained, as `deepbots view RUN` does.", OUTPUT)]
+Callbacks = Annotated[
+    list[str] | None,
+    option(
+        "--callback NAME",
+        "Call this callback of an installed package during the training; may be repeated. `none` drops those of a resumed training.",
+        ADVANCED,
+    ),
+]
+Loggers = Annotated[
+    list[str] | None,
+    option(
+        "--logger NAME",
+        "Write the scalars with this logger too: csv, or one that an installed package adds; may be repeated. `none` drops those of a"
+        " resumed training.",
+        ADVANCED,
+    ),
 ]
 EngineOrRun = Annotated[
     str | None,
@@ -341,7 +366,23 @@ def run_command(arguments: Sequence[str] | None) -> None:
         context_settings=_SETTINGS,
     )
     app.callback()(_deepbots)
-    typer.main.get_command(app).main(args=None if arguments is None else list(arguments), prog_name="deepbots")
+    words = sys.argv[1:] if arguments is None else arguments
+    typer.main.get_command(app).main(args=without_old_spelling(list(words)), prog_name="deepbots")
+
+
+def without_old_spelling(words: list[str]) -> list[str]:
+    """`train --resume RUN` and `tune --resume STUDY` of earlier versions as the commands `resume` and `apply`, with a note."""
+    command, options = (words or [""])[0], words[1:]
+    place = next((number for number, word in enumerate(options) if word.partition("=")[0] == "--resume"), None)
+    if command not in ("train", "tune") or place is None:
+        return words
+    folder = options.pop(place).partition("=")[2]
+    if not folder and place < len(options):
+        folder = options.pop(place)
+    verb = "apply" if "--apply" in options else "resume"
+    dropped = ("--apply", "--quiet", "-q") if verb == "apply" else ()
+    terminal.note(f"note: `deepbots {command} --resume` is now `deepbots {verb}`; the next version drops the old spelling")
+    return [verb, *filter(None, [folder]), *(option for option in options if option not in dropped)]
 
 
 def _version(wanted: bool) -> None:

@@ -5,14 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.spread import ONE_BY_ONE, Spread
-
-if TYPE_CHECKING:
-    from deepbots_cli.cluster import Cluster
+from deepbots_cli.learning.executor import SERIAL, Executor
 
 
 def available_cores() -> int:
@@ -28,17 +24,8 @@ def check_dividable(workers: int | None, address: str | None, count: int, reason
 
 
 @contextmanager
-def spread(workers: int | None, address: str | None, count: int | None = None, *, quiet: bool = False) -> Iterator[Spread]:
-    """Where at most `count` calls run: in this process, unless an option names workers."""
-    if workers is not None and count is not None:
-        workers = min(workers, count)
-    with cluster(workers, address, quiet=quiet) as found:
-        yield found or ONE_BY_ONE
-
-
-@contextmanager
-def cluster(workers: int | None, address: str | None, *, quiet: bool) -> Iterator[Cluster | None]:
-    """The workers, which end with the block; None if no option names any.
+def executor(workers: int | None, address: str | None, count: int | None = None, *, quiet: bool = False) -> Iterator[Executor]:
+    """Where at most `count` calls run, or shards: in this process, unless an option names workers, which end with the block.
 
     Raises:
         UsageError: Both options are given, or the cluster does not answer.
@@ -46,16 +33,18 @@ def cluster(workers: int | None, address: str | None, *, quiet: bool) -> Iterato
     if workers is not None and address is not None:
         raise UsageError("--workers and --cluster cannot be combined")
     if workers is None and address is None:
-        yield None
+        yield SERIAL
         return
     from deepbots_cli.cluster import Cluster
 
-    if workers is not None and workers > (cores := available_cores()) and not quiet:
-        terminal.note(f"{workers} workers share {cores} core{'' if cores == 1 else 's'}; more workers than cores are not faster")
-    found = Cluster(workers=workers, address=address)
+    if workers is not None:
+        workers = workers if count is None else min(workers, count)
+        if workers > (cores := available_cores()) and not quiet:
+            terminal.note(f"{workers} workers share {cores} core{'' if cores == 1 else 's'}; more workers than cores are not faster")
+    cluster = Cluster(workers=workers, address=address)
     with terminal.transient_line("" if quiet or address is None else f"joining {address} ..."):
-        found.__enter__()
+        cluster.__enter__()
     try:
-        yield found
+        yield cluster
     finally:
-        found.__exit__()
+        cluster.__exit__()

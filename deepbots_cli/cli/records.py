@@ -140,7 +140,7 @@ def training_text(result: TrainingResult) -> str:
     if result.stop_requested and any(result.run.glob("models/*/best.zip")):  # not before the first checkpoint
         lines.append(f"evaluate the policy with: deepbots eval {quote(str(result.run))}")
     if result.interrupted:
-        lines.append(f"the policy is kept; continue the training with: deepbots train --resume {quote(str(result.run))}")
+        lines.append(f"the policy is kept; continue the training with: deepbots resume {quote(str(result.run))}")
     return "\n".join(lines)
 
 
@@ -166,7 +166,7 @@ def group_training_text(result: GroupTraining) -> str:
     if result.waiting:
         lines.append(f"unfinished: seed {', '.join(map(str, result.waiting))}")
     if result.waiting or result.failed:
-        lines.append(f"continue the training with: deepbots train --resume {quote(str(result.group))}")
+        lines.append(f"continue the training with: deepbots resume {quote(str(result.group))}")
     return "\n".join(lines)
 
 

@@ -1,4 +1,4 @@
-"""`deepbots train --retry`: what each attempt changed and came to, and how its values get into the scenario file."""
+"""`deepbots train --retry`: what each attempt changed and came to."""
 
 from __future__ import annotations
 
@@ -15,44 +15,12 @@ from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.exits import INTERRUPTED
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.group import Group, RetryAttempt
-from deepbots_cli.rollout.source import SourceKind, folder_kind
+from deepbots_cli.learning.group import RetryAttempt
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.retry import Attempted, RetriedTraining
     from deepbots_cli.insight.statements import Statement
-    from deepbots_cli.learning.shards import Placement
-
-
-def of(path: Path) -> Group | None:
-    """The group of --retry in a folder, if it is one."""
-    group = Group.open(path) if folder_kind(path) is SourceKind.GROUP else None
-    return group if group is not None and group.record.attempts else None
-
-
-def _group(path: Path) -> Group:
-    group = of(path)
-    if group is None:
-        raise UsageError(f"{path} was not trained with --retry; train its scenario with: deepbots train SCENARIO --retry 2")
-    return group
-
-
-def check(retries: int | None, *, apply: bool, other: str | None) -> None:
-    """Refuse options of a new training that do not go together; `other` is an option that --retry excludes."""
-    if apply:
-        raise UsageError("--apply writes the values of a group of --retry; name it with --resume GROUP")
-    if retries is not None and other is not None:
-        raise UsageError(f"--retry follows the causes of one training; leave out {other}, and use it with the values that --retry finds")
-
-
-def refuse(options: Sequence[object]) -> None:
-    """Refuse options that a group of --retry has already."""
-    if any(option is not None for option in options):
-        raise UsageError(
-            "--resume continues a group of --retry with its own options; only these can be added: --retry, --apply, --workers, --cluster,"
-            " --quiet, --allow-code, --json"
-        )
+    from deepbots_cli.learning.executor import Executor
 
 
 def train(compiled: Compiled, retries: int, *, quiet: bool, as_json: bool, **options: Any) -> None:
@@ -62,12 +30,11 @@ def train(compiled: Compiled, retries: int, *, quiet: bool, as_json: bool, **opt
     _show(partial(train_with_retries, compiled, retries, **options), quiet=quiet, as_json=as_json)
 
 
-def resume(group: Path, retries: int | None, placement: Placement, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
+def resume(group: Path, retries: int | None, executor: Executor, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
     """Continue a group, and show what its attempts came to."""
     from deepbots_cli.insight.retry import resume_retries
 
-    path, progress = _group(group).path, not quiet
-    begin = partial(resume_retries, path, retries=retries, placement=placement, permissions=permissions, progress=progress)
+    begin = partial(resume_retries, group, retries=retries, executor=executor, permissions=permissions, progress=not quiet)
     _show(begin, quiet=quiet, as_json=as_json)
 
 
@@ -84,7 +51,7 @@ def _show(begin: Callable[..., RetriedTraining], *, quiet: bool, as_json: bool) 
         with terminal.progress(always=False) as show_episode:
             found = begin(on_attempt=announce, on_episode=show_episode)
     except KeyboardInterrupt:
-        again = f"; continue with: deepbots train --resume {quote(str(begun[-1].parent))}" if begun else ""
+        again = f"; continue with: deepbots resume {quote(str(begun[-1].parent))}" if begun else ""
         terminal.note(f"interrupted{again}")
         raise typer.Exit(INTERRUPTED) from None
     group, best = quote(str(found.group)), found.attempts[found.best - 1]
@@ -92,13 +59,13 @@ def _show(begin: Callable[..., RetriedTraining], *, quiet: bool, as_json: bool) 
     if found.stopped_by and not found.solved:
         lines.append(f"no further attempt: {found.stopped_by}")
     if best.attempt.settings:
-        lines.append(f"write the values of {best.path.name} into your file: deepbots train --resume {group} --apply FILE")
+        lines.append(f"write the values of {best.path.name} into your file: deepbots apply {group} FILE")
     path = quote(str(best.path))
     further = [f"deepbots {command} {path}" for command in ("view", "report", "export")]
     if found.interrupted:
-        further = [f"deepbots train --resume {group}"]
+        further = [f"deepbots resume {group}"]
     elif not found.solved:
-        more = f"deepbots train --resume {group} --retry {len(found.attempts) + 1}"
+        more = f"deepbots resume {group} --retry {len(found.attempts) + 1}"
         first = [more if cause.settings else cause.command for cause in found.causes[:1]]
         further = [*first, f"deepbots diagnose {group}", f"deepbots report {group}"]
     data = {
@@ -134,26 +101,6 @@ def _row(found: Attempted) -> Row:
 
 def _values(attempt: RetryAttempt) -> str:
     return ", ".join(f"{path}: {text}" for path, text in attempt.settings.items())
-
-
-def apply(path: Path, scenario: str | None, permissions: Permissions, *, as_json: bool) -> None:
-    """Write the values of the best attempt of a group into a scenario file, by default into that of the group.
-
-    Raises:
-        UsageError: The best attempt has no other values, the file comes with deepbots, or its text does not allow a change.
-    """
-    from deepbots_cli.cli.commands.rewriting import write_values  # which imports the rules of lint
-
-    group = _group(path)
-    best, name = group.best_attempt, scenario or group.record.source
-    values = group.record.attempts[best - 1].settings
-    if not values:
-        raise UsageError(f"the best training of {group.path}, try-{best}, has the values of the scenario; there is nothing to write")
-    file = write_values(name, values, f"set by {group.path.name}, try-{best}", permissions)
-    rows = [{"key": path, "value": text} for path, text in values.items()]
-    further = [f"deepbots lint {quote(name)}", f"deepbots train {quote(name)} --seed {group.record.seeds[0] + 1}"]
-    data = {"file": file, "attempt": best, "values": values}
-    terminal.show(data, f"{file}: values of try-{best}\n{table(rows)}", as_json=as_json, next_commands=further)
 
 
 def cause_lines(causes: Sequence[Statement], of: str = "") -> list[str]:

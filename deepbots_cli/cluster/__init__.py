@@ -1,7 +1,7 @@
-"""Work spread over processes of this machine, or over a Ray cluster.
+"""Work on processes of this machine, or over a Ray cluster.
 
 session.py           `Cluster`: the workers that a person names
-executor.py          `Executor`, which both kinds of workers implement; what a worker runs and checks
+worker_pool.py       `WorkerPool`, which both kinds of workers implement; what a worker runs and checks
 local_processes.py   workers as processes of this machine, with the standard library alone
 worker.py            such a process
 ray_cluster.py       workers of a Ray cluster; only this module imports Ray

@@ -21,8 +21,8 @@ from functools import partial
 from queue import Empty, SimpleQueue
 from typing import IO, Any, Self, cast
 
-from deepbots_cli.cluster.executor import Call, News, Requirements, WorkerLost, perform
 from deepbots_cli.cluster.worker import Parent, invoke
+from deepbots_cli.cluster.worker_pool import Call, News, Requirements, WorkerLost, perform
 from deepbots_cli.errors import UsageError
 from deepbots_cli.processes import python_command, python_environment
 
@@ -86,7 +86,7 @@ class Worker:
 
 
 class LocalProcesses:
-    """An `Executor` with up to `workers` processes, which start when there is work and end with the block."""
+    """An `WorkerPool` with up to `workers` processes, which start when there is work and end with the block."""
 
     def __init__(self, workers: int) -> None:
         self.workers = workers

@@ -21,7 +21,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Self
 
-from deepbots_cli.cluster.executor import Call, News, Refusal, Requirements, WorkerLost, perform
+from deepbots_cli.cluster.worker_pool import Call, News, Refusal, Requirements, WorkerLost, perform
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.processes import python_script
 
@@ -38,7 +38,7 @@ if last:
 
 
 class RayCluster:
-    """An `Executor` on the Ray cluster at `HOST:PORT`, or the one of this machine (`auto`); it leaves the cluster after the block."""
+    """An `WorkerPool` on the Ray cluster at `HOST:PORT`, or the one of this machine (`auto`); it leaves the cluster after the block."""
 
     def __init__(self, address: str) -> None:
         self._address = address
@@ -137,7 +137,7 @@ class RayCluster:
         here = ray.get_runtime_context().get_node_id()
         if not any(node["Alive"] for node in ray.nodes() if node["NodeID"] == here):
             error = RunError("the Ray node of this process was lost")
-            error.add_note("start again; a training continues with `deepbots train --resume`")
+            error.add_note("start again; a training continues with `deepbots resume`")
             raise error
 
     def set_last_words(self, text: str) -> None:

@@ -13,7 +13,7 @@ from deepbots_cli.cluster.local_processes import LocalProcesses
 from deepbots_cli.cluster.ray_cluster import RayCluster
 from deepbots_cli.cluster.tasks import Tasks
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.learning.spread import Attempt, CallOptions, Item, Result
+from deepbots_cli.learning.executor import Attempt, CallOptions, Item, Result
 
 if TYPE_CHECKING:  # what evaluates and trains imports torch; tests of scenarios do without
     from deepbots_cli.learning.environments import WorldFactory
@@ -40,21 +40,20 @@ class Cluster:
         if workers is not None and not 1 <= workers <= MAX_WORKERS:
             raise UsageError(f"the number of workers must be from 1 to {MAX_WORKERS}, not {workers}")
         self.is_on_this_machine = address is None
-        """Whether all workers see the files that this process sees."""
-        self._executor: RayCluster | LocalProcesses = RayCluster(address) if address is not None else LocalProcesses(workers or 1)
+        self._pool: RayCluster | LocalProcesses = RayCluster(address) if address is not None else LocalProcesses(workers or 1)
 
     def __enter__(self) -> Self:
-        self._executor.__enter__()
-        self._executor.set_last_words("to continue a training, use `deepbots train --resume`")
+        self._pool.__enter__()
+        self._pool.set_last_words("to continue a training, use `deepbots resume`")
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._executor.__exit__()
+        self._pool.__exit__()
 
     @property
     def workers(self) -> int:
         """The number of workers: that which was asked for, or the CPUs of the cluster."""
-        return self._executor.workers
+        return self._pool.workers
 
     def shards(self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Callable[[str], None]) -> ShardPool:
         """The shards of a training on the workers.
@@ -67,13 +66,13 @@ class Cluster:
 
         if not isinstance(build, partial) or build.func is not api_build:
             raise UsageError("the argument `build` makes worlds in this process only; leave out the workers")
-        pool = RemoteShards(self._executor, run, build.keywords["permissions"], world_numbers(training), note)
+        pool = RemoteShards(self._pool, run, build.keywords["permissions"], world_numbers(training), note)
         stack.callback(pool.close)
-        self._executor.set_last_words(f"to continue: deepbots train --resume {quote(str(run.path))}")
+        self._pool.set_last_words(f"to continue: deepbots resume {quote(str(run.path))}")
         return pool
 
     def map(
         self, function: Callable[[Item, Attempt], Result], items: Iterable[Item], **options: Unpack[CallOptions]
     ) -> Generator[Result | DeepbotsError | None]:
-        """Call a function with each item on the workers, as many at a time as there are workers; see `Spread.map`."""
-        return Tasks(self._executor, options).run(function, items)
+        """Call a function with each item on the workers, as many at a time as there are workers; see `Executor.map`."""
+        return Tasks(self._pool, options).run(function, items)

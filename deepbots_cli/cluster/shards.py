@@ -16,7 +16,8 @@ from pathlib import Path
 from shlex import quote
 from typing import Any, NamedTuple
 
-from deepbots_cli.cluster.executor import MAX_LOSSES, Executor, WorkerLost, library_versions, output_in
+from deepbots_cli.cluster.worker_pool import MAX_LOSSES, Requirements, WorkerLost, WorkerPool, output_in
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning.run import WORKERS_FOLDER, Run
@@ -49,13 +50,13 @@ class ShardWorker:
         self._path, self._number = run, number
         self._shards: dict[int, Any] = {}
 
-    def describe(self) -> dict[str, str]:
-        """Where it runs and with what; `digest` is that of the scenario of the run, empty if this process does not see the run."""
-        try:
-            digest = Run.open(self._path).digest
-        except DeepbotsError:
-            digest = ""
-        return {"host": socket.gethostname(), **library_versions(), "digest": digest}
+    def unmet(self, requirements: Requirements, digest: str) -> str | None:
+        """What this process lacks, in a sentence; `digest` is that of the program of the run."""
+        reason = requirements.unmet()
+        if reason is None and Run.open(self._path).digest != digest:
+            host = socket.gethostname()
+            reason = f"the worker on {host} compiles the scenario to a different program; install the same version of deepbots"
+        return reason
 
     def work(self, number: int, beginning: Beginning | None, order: Order | EvaluationOrder | None, memory: Mapping[str, Array]) -> Any:
         """Make a shard if there is a `beginning`, and return the observations, or the answer to an order.
@@ -87,7 +88,7 @@ class RemoteShards:
     """The shards of a training on workers.
 
     Args:
-        executor: What has the processes.
+        pool: What has the processes.
         run: The run, in a folder that all workers see.
         permissions: Those of the training.
         worlds: The numbers of the worlds of each shard.
@@ -96,15 +97,15 @@ class RemoteShards:
 
     def __init__(
         self,
-        executor: Executor,
+        pool: WorkerPool,
         run: Run,
         permissions: Permissions,
         worlds: Sequence[Sequence[int]],
         note: Callable[[str], None],
     ) -> None:
-        self._executor = executor
+        self._pool = pool
         self._run, self._permissions, self._worlds, self._note = run, permissions, worlds, note
-        self._wanted = min(executor.workers, len(worlds))
+        self._wanted = min(pool.workers, len(worlds))
         self._workers: dict[int, Any] = {}
         self._homes: list[int | None] = [None] * len(worlds)
         """The worker of each shard; None after this was lost."""
@@ -127,7 +128,7 @@ class RemoteShards:
 
     def close(self) -> None:
         for worker in self._workers.values():
-            self._executor.end(worker)
+            self._pool.end(worker)
 
     def _work(
         self,
@@ -137,7 +138,7 @@ class RemoteShards:
     ) -> Callable[[], list[Any]]:
         """Ask all shards, each on its worker. The result waits for the answers, and replaces lost workers."""
         self._find_homes()
-        shared = self._executor.share(order)
+        shared = self._pool.share(order)
         answers: dict[int, Any] = {}
         losses: Counter[int] = Counter()
         waiting: dict[Any, tuple[int, int]] = {}
@@ -145,7 +146,7 @@ class RemoteShards:
         def ask(shard: int, *, anew: bool) -> None:
             home = self._home_of(shard)
             beginning = Beginning(self._worlds[shard], episodes[shard], self._permissions) if anew else None
-            waiting[self._executor.ask(self._workers[home], "work", shard, beginning, shared, memories[shard])] = (shard, home)
+            waiting[self._pool.ask(self._workers[home], "work", shard, beginning, shared, memories[shard])] = (shard, home)
 
         new, self._new = self._new, set()
         for shard in range(len(self._worlds)):
@@ -153,10 +154,10 @@ class RemoteShards:
 
         def wait() -> list[Any]:
             while waiting:
-                ready, *_ = self._executor.wait(waiting)
+                ready, *_ = self._pool.wait(waiting)
                 shard, worker = waiting.pop(ready)
                 try:
-                    answer = self._executor.answer(ready)
+                    answer = self._pool.answer(ready)
                 except WorkerLost as error:
                     lost = {call: other for call, (other, home) in waiting.items() if home == worker}
                     for call in lost:
@@ -213,20 +214,22 @@ class RemoteShards:
         if not missing or (self._workers and time.monotonic() < self._next_start):
             return
         waiting = self._begun(missing)
-        while not self._workers and not self._executor.wait(waiting, timeout_s=_READY_TIMEOUT_S):
-            self._executor.check()
-        ready = self._executor.wait(waiting, len(waiting), _READY_TIMEOUT_S) if waiting else ()
+        while not self._workers and not self._pool.wait(waiting, timeout_s=_READY_TIMEOUT_S):
+            self._pool.check()
+        ready = self._pool.wait(waiting, len(waiting), _READY_TIMEOUT_S) if waiting else ()
         for call in waiting.keys() - set(ready):  # its node was lost, or is busy with something else
-            self._executor.end(waiting[call][1])
+            self._pool.end(waiting[call][1])
         is_any_lost = len(ready) < len(waiting)
         for call in ready:
             number, worker = waiting[call]
             try:
-                self._check(self._executor.answer(call))
+                reason = self._pool.answer(call)
             except WorkerLost:
                 is_any_lost = True
-            else:
-                self._workers[number] = worker
+                continue
+            if reason is not None:
+                raise UsageError(reason)
+            self._workers[number] = worker
         if is_any_lost:
             self._next_start = time.monotonic() + _READY_TIMEOUT_S
         self._vain_starts = 0 if self._workers else self._vain_starts + 1
@@ -239,26 +242,15 @@ class RemoteShards:
     def _begun(self, missing: int) -> dict[Any, tuple[int, Any]]:
         """Begin to start as many of the missing workers as the cluster has room for, at least one if there is none: the calls to wait
         for, with number and worker."""
-        free = self._executor.free()
+        free = self._pool.free()
         if not self._workers and not free and not self._vain_starts:
             self._note("waiting for a free CPU in the cluster")
-        waiting = {}
+        waiting, requirements = {}, Requirements.of_this_process([self._run.path / RESOLVED_NAME])
         for _ in range(min(missing, free) if self._workers else max(1, min(missing, free))):
             number, self._started = self._started, self._started + 1
-            worker = self._executor.start(ShardWorker, self._run.path.absolute(), number)
-            waiting[self._executor.ask(worker, "describe")] = (number, worker)
+            worker = self._pool.start(ShardWorker, self._run.path.absolute(), number)
+            waiting[self._pool.ask(worker, "unmet", requirements, self._run.digest)] = (number, worker)
         return waiting
-
-    def _check(self, there: dict[str, str]) -> None:
-        """Compare a worker with this process."""
-        host, digest = there.pop("host"), there.pop("digest")
-        if not digest:
-            raise UsageError(f"the worker on {host} does not see {self._run.path.absolute()}; train in a folder that all nodes share")
-        for name, version in library_versions().items():
-            if there.get(name) != version:
-                raise UsageError(f"the worker on {host} has {name} {there.get(name, 'not installed')}, but this process has {version}")
-        if digest != self._run.digest:
-            raise UsageError(f"the worker on {host} compiles the scenario to a different program; install the same version of deepbots")
 
     def _forget(self, lost: int) -> None:
         """A worker is lost: its shards have no home."""
@@ -270,7 +262,7 @@ class RemoteShards:
         steps = order.begun if isinstance(order, Order) else 0
         when = "in an evaluation" if isinstance(order, EvaluationOrder) else f"in the steps after {steps:,}"
         error = RunError(f"shard {shard} ended its worker {MAX_LOSSES} times {when}; {self._log(worker)} has its last output")
-        error.add_note(f"to repeat this in one process: deepbots train --resume {quote(str(self._run.path))}")
+        error.add_note(f"to repeat this in one process: deepbots resume {quote(str(self._run.path))}")
         return error
 
     def _log(self, worker: int) -> Path:

@@ -8,26 +8,26 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import suppress
 from typing import Any
 
-from deepbots_cli.cluster.executor import MAX_LOSSES, Call, Executor, Refusal, Requirements, WorkerLost
+from deepbots_cli.cluster.worker_pool import MAX_LOSSES, Call, Refusal, Requirements, WorkerLost, WorkerPool
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.learning.spread import UNWATCHED, Attempt, CallOptions, Item, Result
+from deepbots_cli.learning.executor import UNWATCHED, Attempt, CallOptions, Item, Result
 
 _NEWS_INTERVAL_S = 0.3
 
 
 class Tasks:
-    """Calls of a function on the workers of an executor.
+    """Calls of a function on the workers of an pool.
 
     Args:
-        executor: The executor.
-        options: Those of `Spread.map`.
+        pool: The pool.
+        options: Those of `Executor.map`.
     """
 
-    def __init__(self, executor: Executor, options: CallOptions) -> None:
-        self._executor, self._watcher = executor, options.get("watcher", UNWATCHED)
+    def __init__(self, pool: WorkerPool, options: CallOptions) -> None:
+        self._pool, self._watcher = pool, options.get("watcher", UNWATCHED)
         self._log, self._stop = options.get("log"), options.get("stop")
         self._requirements = Requirements.of_this_process(options.get("files", ()))
-        self._calls = executor.calls(self._requirements, can_stop=self._stop is not None)
+        self._calls = pool.calls(self._requirements, can_stop=self._stop is not None)
         self._running: dict[Any, Call] = {}
         self._losses: Counter[int] = Counter()
         self._again: deque[Call] = deque()
@@ -41,7 +41,7 @@ class Tasks:
                 if self._stop is not None and not is_stopping and self._stop():
                     is_stopping = True
                     self._outcomes |= {call.item: None for call in self._again}
-                while not is_stopping and len(self._running) < self._executor.workers:
+                while not is_stopping and len(self._running) < self._pool.workers:
                     call = self._again.popleft() if self._again else next(waiting, None)
                     if call is None:
                         break
@@ -51,7 +51,7 @@ class Tasks:
                     following += 1
                 if not self._running:
                     return
-                for ready in self._executor.wait(self._running, timeout_s=_NEWS_INTERVAL_S):
+                for ready in self._pool.wait(self._running, timeout_s=_NEWS_INTERVAL_S):
                     self._end(ready, is_stopping=is_stopping)
                 self._hand_on_news(is_stopping=is_stopping)
         finally:
@@ -68,7 +68,7 @@ class Tasks:
         """A call has ended, or its worker."""
         call = self._running.pop(ready)
         try:
-            outcome = self._executor.answer(ready)
+            outcome = self._pool.answer(ready)
         except WorkerLost as loss:
             self._losses[call.item] += 1
             if is_stopping:

@@ -140,7 +140,7 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
     """
     path = training.run.path
     if not len(training.all_episodes) and not training.has_failed:
-        wait = "wait for it" if training.is_running else f"train it longer, with: deepbots train --resume {quote(str(path))}"
+        wait = "wait for it" if training.is_running else f"train it longer, with: deepbots resume {quote(str(path))}"
         raise RunError(f"{path} contains no finished episode yet; {wait}")
     learned = has_learned(training)
     if not (len(training.episodes) or training.has_failed):
@@ -211,7 +211,7 @@ def _next_command(t: TrainingEvidence, statement: Statement) -> str:
     """What to run after a cause: the training with the advised values, or what shows the fault."""
     run, path = t.run, quote(str(t.run.path))
     if statement.settings.keys() == {TOTAL_TIMESTEPS}:
-        return f"deepbots train --resume {path} --timesteps {statement.settings[TOTAL_TIMESTEPS]}"
+        return f"deepbots resume {path} --timesteps {statement.settings[TOTAL_TIMESTEPS]}"
     if statement.settings:
         return join(training_command(run, [f"{setting}={value}" for setting, value in statement.settings.items()]))
     if t.is_running:

@@ -129,7 +129,7 @@ def too_few_steps(t: TrainingEvidence) -> Numbers | None:
 def training_length(t: TrainingEvidence, planned: int = 0) -> dict[str, Any]:
     """How long a training is, and how to train on: to the `planned` steps if they are more than 1.1 times as many, else further."""
     more = planned if planned > 1.1 * t.steps else max(t.planned, longer_goal(t.steps))
-    command = f"deepbots train --resume {quote(str(t.run.path))} --timesteps {more:_}"
+    command = f"deepbots resume {quote(str(t.run.path))} --timesteps {more:_}"
     advice = f"Continue the training with `{command}`."
     if t.is_running:
         advice = f"Let it run: {t.steps:,} of {t.run.record.total_timesteps:,} steps have been made."

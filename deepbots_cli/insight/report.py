@@ -39,7 +39,7 @@ from deepbots_cli.insight.templates import render_template
 from deepbots_cli.learning.draws import by_drawn_value, draw_labels
 from deepbots_cli.learning.episodes import UNBOUNDED
 from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, EvaluationWithEpisodes, Run, RunRecord, in_parentheses, is_training
+from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, EvaluationWithEpisodes, Run, in_parentheses, is_training
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.rollout import Episode
@@ -157,9 +157,9 @@ class Report:
         if source.kind is SourceKind.RUN:
             return Report(path, [ReportRun.read(path)], ["the training is still running"] if is_training(path) else [])
         group, members, notes = Group.open(path), list[ReportRun](), list[str]()
-        if group.record.attempts:
-            best = group.attempt(group.best_attempt)
-            attempts = [_attempt(group, number) for number in range(1, len(group.record.attempts) + 1)]
+        if group.best is not None:
+            best = group.best.path
+            attempts = [_attempt(group, number) for number in range(1, len(group.attempts) + 1)]
             return Report(path, [ReportRun.read(best)], [f"the figures show the best of the attempts, {best.name}"], attempts)
         for seed in group.record.seeds:
             try:
@@ -412,10 +412,10 @@ def _name(run: Run, text: Text) -> str:
 
 def _attempt(group: Group, number: int) -> tuple[str, str, str, str]:
     """A row of the table of attempts."""
-    attempt, folder = group.record.attempts[number - 1], group.attempt(number)
+    attempt, folder = group.record.attempts[number - 1], group.planned[number - 1]
     changed = ", ".join(f"{path}: {text}" for path, text in attempt.settings.items()) or "nothing"
     why = f"try-{attempt.base}: {attempt.text}" if attempt.base else ""
-    result = run_verdict(folder, RunRecord.read(folder)).text if folder_kind(folder) is SourceKind.RUN else "not trained"
+    result = group.attempt_verdict(number).text if folder in group.runs else "not trained"
     return folder.name, changed, why, result
 
 

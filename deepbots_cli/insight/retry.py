@@ -16,34 +16,31 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Unpack
 
-from deepbots_cli import api
 from deepbots_cli.api import Compiled
-from deepbots_cli.compiler.inputs import write_copies
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.insight.diagnosis import CERTAIN, causes_after
 from deepbots_cli.insight.ends import TOTAL_TIMESTEPS
 from deepbots_cli.insight.linted import named_source
 from deepbots_cli.insight.statements import Statement
+from deepbots_cli.learning.campaign import evaluate_once, train_member
+from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.group import MAX_RETRIES, Group, RetryAttempt, new_record
-from deepbots_cli.learning.report import Reporter, to_json
+from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.run import (
-    Run,
     RunRecord,
     TrainingOptions,
     TrainingResult,
     changed_settings,
     new_directory,
-    remove_incomplete,
     run_lock,
 )
-from deepbots_cli.learning.shards import THIS_PROCESS, Placement
-from deepbots_cli.learning.verdict import RunVerdict, run_verdict
-from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
+from deepbots_cli.learning.verdict import RunVerdict
+from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 OnAttempt = Callable[[Path, RetryAttempt], object]
 """Called before an attempt is trained or continued, with the folder of its run."""
@@ -85,7 +82,7 @@ def train_with_retries(
     group: str | Path | None = None,
     runs: str | Path = "runs",
     progress: bool | Reporter = False,
-    placement: Placement = THIS_PROCESS,
+    executor: Executor = SERIAL,
     on_attempt: OnAttempt | None = None,
     on_episode: OnEpisode = None,
     **options: Unpack[TrainingOptions],
@@ -101,8 +98,7 @@ def train_with_retries(
     Raises:
         UsageError: The folder exists, or the settings are invalid for training.
     """
-    if not 1 <= retries <= MAX_RETRIES:
-        raise UsageError(f"retries must be from 1 to {MAX_RETRIES}, not {retries}")
+    _check_number(retries)
     from deepbots_cli.learning.training import checked_settings  # which imports torch
 
     checked_settings(compiled.program, [seed], **options)
@@ -110,16 +106,8 @@ def train_with_retries(
         name = compiled.program.name
         raise UsageError(f"{name} does not say when it is solved; add `solved`, such as `solved: mean_return >= 100 over 100 episodes`")
     path = new_directory(group, runs, compiled.program.name, "retry")
-    made = Group(path, new_record(compiled, [seed], options, retries))
-    try:
-        with run_lock(path):
-            write_copies(path, compiled.resolved, compiled.inputs)
-            made.write()
-            return _Retries(made, compiled.permissions, progress, placement, on_attempt, on_episode).run()
-    except (DeepbotsError, KeyboardInterrupt):
-        if not made.runs:  # nothing can be trained with these settings, or written there
-            shutil.rmtree(path, ignore_errors=True)
-        raise
+    with Group.created(path, new_record(compiled, [seed], options, retries), compiled) as created:
+        return _Retries(created, compiled.permissions, progress, executor, on_attempt, on_episode).run()
 
 
 def resume_retries(
@@ -128,7 +116,7 @@ def resume_retries(
     retries: int | None = None,
     progress: bool | Reporter = False,
     permissions: Permissions = Permissions(),
-    placement: Placement = THIS_PROCESS,
+    executor: Executor = SERIAL,
     on_attempt: OnAttempt | None = None,
     on_episode: OnEpisode = None,
 ) -> RetriedTraining:
@@ -138,16 +126,19 @@ def resume_retries(
         RunError: The folder is not such a group, or is damaged.
         UsageError: Another training uses it.
     """
-    known = Group.open(group)
-    if not known.record.attempts:
-        raise RunError(f"{known.path} is a group of seeds, not of `train --retry`")
-    with run_lock(known.path):
-        if retries is not None and retries != known.record.retries:
-            if not 1 <= retries <= MAX_RETRIES:
-                raise UsageError(f"retries must be from 1 to {MAX_RETRIES}, not {retries}")
-            known = Group(known.path, known.record.model_copy(update={"retries": retries}))
-            known.write()
-        return _Retries(known, permissions, progress, placement, on_attempt, on_episode).run()
+    resumed = Group.open(group)
+    if not resumed.attempts:
+        raise RunError(f"{resumed.path} is a group of seeds, not of `train --retry`")
+    with run_lock(resumed.path):
+        if retries is not None and retries != resumed.record.retries:
+            _check_number(retries)
+            resumed = resumed.changed(retries=retries)
+        return _Retries(resumed, permissions, progress, executor, on_attempt, on_episode).run()
+
+
+def _check_number(retries: int) -> None:
+    if not 1 <= retries <= MAX_RETRIES:
+        raise UsageError(f"retries must be from 1 to {MAX_RETRIES}, not {retries}")
 
 
 @dataclass
@@ -157,7 +148,7 @@ class _Retries:
     group: Group
     permissions: Permissions
     progress: bool | Reporter
-    placement: Placement
+    executor: Executor
     on_attempt: OnAttempt | None
     on_episode: OnEpisode
 
@@ -187,33 +178,30 @@ class _Retries:
                 break
             if number > self.group.record.retries:
                 break
-            self.group = Group(self.group.path, self.group.record.model_copy(update={"attempts": (*self.group.record.attempts, following)}))
-            self.group.write()
+            self.group = self.group.changed(attempts=(*self.group.record.attempts, following))
         return self._result(diagnosed=base, interrupted=interrupted, causes=causes, reason=reason)
 
     def _train(self, number: int) -> TrainingResult | None:
         """Train an attempt or continue it; None if it was trained before."""
-        from deepbots_cli.learning.training import resume, train  # which imports torch
-
-        record, path, attempt = self.group.record, self.group.attempt(number), self.group.record.attempts[number - 1]
-        is_longer = self._is_longer(attempt)
-        if is_longer and folder_kind(path) is not SourceKind.RUN:
-            self._copy(self.group.attempt(attempt.base), path)
-        if folder_kind(path) is SourceKind.RUN:
-            known = RunRecord.read(path)
-            is_copy = is_longer and len(known.resumed_at) == len(RunRecord.read(self.group.attempt(attempt.base)).resumed_at)
-            if known.status == "finished" and not is_copy:
-                return None
-            self._announce(number, attempt)
-            training = self._compiled(attempt).program.agent.training if is_copy else None
-            longer = None if training is None else training.total_timesteps
-            return resume(path, total_timesteps=longer, permissions=self.permissions, progress=self.progress, placement=self.placement)
-        remove_incomplete(path)
-        self._announce(number, attempt)
-        options: dict[str, Any] = record.options | ({"total_timesteps": None} if TOTAL_TIMESTEPS in attempt.settings else {})
-        options["command"] = self._command(attempt)
-        compiled = replace(self._compiled(attempt), source=Path(record.source), permissions=self.permissions)
-        return train(compiled, run=path, seed=record.seeds[0], progress=self.progress, placement=self.placement, **options)
+        record, path, attempt = self.group.record, self.group.planned[number - 1], self.group.record.attempts[number - 1]
+        compiled = self.group.compiled(self.group.attempts[number - 1].assignments, self.permissions)
+        changes: dict[str, Any] = {}
+        if self._is_longer(attempt):
+            base = self.group.planned[attempt.base - 1]
+            if folder_kind(path) is not SourceKind.RUN:
+                self._copy(base, path)
+            is_copy = len(RunRecord.read(path).resumed_at) == len(RunRecord.read(base).resumed_at)
+            training = compiled.program.agent.training if is_copy else None
+            changes = {} if training is None else {"total_timesteps": training.total_timesteps}
+        if folder_kind(path) is SourceKind.RUN and RunRecord.read(path).status == "finished" and not changes:
+            return None
+        if self.on_attempt is not None:
+            self.on_attempt(path, attempt)
+        options = record.options | {"command": self._command(number)}
+        if TOTAL_TIMESTEPS in attempt.settings:
+            options["total_timesteps"] = None
+        further: dict[str, Any] = {"progress": self.progress, "executor": self.executor}
+        return train_member(path, compiled, record.seeds[0], options, changes, **further)
 
     def _is_longer(self, attempt: RetryAttempt) -> bool:
         """Whether an attempt only continues the one that it is based on."""
@@ -227,21 +215,14 @@ class _Retries:
 
     def _causes(self, number: int) -> list[Statement]:
         try:
-            return causes_after(self.group.attempt(number), self.permissions)
+            return causes_after(self.group.planned[number - 1], self.permissions)
         except DeepbotsError:  # it has no finished episode, for example
             return []
 
-    def _announce(self, number: int, attempt: RetryAttempt) -> None:
-        if self.on_attempt is not None:
-            self.on_attempt(self.group.attempt(number), attempt)
-
-    def _compiled(self, attempt: RetryAttempt) -> Compiled:
-        return api.compile(Source.kept(self.group.path, kind=SourceKind.GROUP), overrides=attempt.assignments)
-
-    def _command(self, attempt: RetryAttempt) -> list[str]:
+    def _command(self, number: int) -> list[str]:
         """The command line of the group with the values of an attempt, for its record."""
-        record = self.group.record
-        others = [text for text in changed_settings(record.command) if text.partition("=")[0] not in attempt.settings]
+        record, attempt = self.group.record, self.group.attempts[number - 1]
+        others = [text for text in changed_settings(record.command) if text.partition("=")[0] not in attempt.values]
         words = ["deepbots", "train", named_source(record.source), "--seed", str(record.seeds[0])]
         return [*words, *(word for text in (*others, *attempt.assignments) for word in ("--set", text))]
 
@@ -258,17 +239,13 @@ class _Retries:
 
     def _evaluated(self, number: int) -> RunVerdict:
         """The verdict about an attempt, which is evaluated unless it was."""
-        from deepbots_cli.learning.evaluation import evaluate  # which imports torch
-
-        run = Run.open(self.group.attempt(number))
-        if run_verdict(run.path, run.record).evaluation is None:
-            run.write_evaluation(to_json(evaluate(run, permissions=self.permissions, on_episode=self.on_episode)))
-        return run_verdict(run.path, run.record)
+        evaluate_once(self.group.planned[number - 1], self.permissions, self.on_episode)
+        return self.group.attempt_verdict(number)
 
     def _result(self, *, diagnosed: int, interrupted: bool, causes: Sequence[Statement], reason: str) -> RetriedTraining:
         group, best = self.group, self.group.best_attempt
-        known = enumerate(group.record.attempts, start=1)
-        attempts = tuple(Attempted(group.attempt(number), attempt, group.attempt_verdict(number)) for number, attempt in known)
+        numbered = enumerate(group.record.attempts, start=1)
+        attempts = tuple(Attempted(group.planned[number - 1], attempt, group.attempt_verdict(number)) for number, attempt in numbered)
         solved = attempts[best - 1].verdict.solved
         return RetriedTraining(group.path, attempts, best, solved, diagnosed, interrupted, () if solved else tuple(causes), reason)
 

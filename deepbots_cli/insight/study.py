@@ -59,9 +59,9 @@ class StudyReport:
         trials = study.trials(journal)
         found = StudyReport(study, journal, trials)
         if not found.ranked:
-            raise RunError(f"{path} has no complete trial yet; continue it with: deepbots tune --resume {path}")
+            raise RunError(f"{path} has no complete trial yet; continue it with: deepbots resume {path}")
         if any(trial.state == "running" for trial in trials) or len(trials) < study.record.trials:
-            found.notes.append(f"the study is not complete; continue it with: deepbots tune --resume {path}")
+            found.notes.append(f"the study is not complete; continue it with: deepbots resume {path}")
         if found.importances is None:
             found.notes.append(f"which values matter is shown from {MIN_TRIALS} complete trials with different scores on")
         return found

@@ -174,7 +174,7 @@ def trace_episodes(
     if not run.model(model).is_file() and run.record.status == "failed":
         raise RunError(f"the training of {run.path} failed before it saved a model; find the cause with: deepbots diagnose {run.path}")
     if not run.model(model).is_file():
-        raise RunError(f"{run.path} contains no model '{model}'; train it first, with: deepbots train --resume {run.path}")
+        raise RunError(f"{run.path} contains no model '{model}'; train it first, with: deepbots resume {run.path}")
     watch = instrument_program(run.program)
     with torch_settings(), closing(_world(watch, run.engine_for(run.program), permissions, run.compiled.units)) as world:
         policy = evaluation.load_model(run, model, world)

@@ -34,6 +34,7 @@ from deepbots_cli.errors import DeepbotsError, EvaluationError, UsageError
 from deepbots_cli.insight.conditions import InstrumentedProgram, instrument_program
 from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
+from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.robustness import (
     DELAY,
     FACTOR,
@@ -52,7 +53,6 @@ from deepbots_cli.learning.robustness import (
     written,
 )
 from deepbots_cli.learning.run import ModelName, Run
-from deepbots_cli.learning.spread import ONE_BY_ONE, Spread
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Thrust
 from deepbots_cli.program.task import Solved
@@ -858,7 +858,7 @@ def transfer(
     with_conditions: bool = True,
     seed: int | None = None,
     permissions: Permissions = Permissions(),
-    spread: Spread = ONE_BY_ONE,
+    executor: Executor = SERIAL,
     on_world: Callable[[int, int], object] | None = None,
 ) -> Transfer:
     """Evaluate a policy in the world of its training and in another one, and compare the worlds.
@@ -875,7 +875,7 @@ def transfer(
             one has as many episodes. Fewer episodes are compared, too.
         with_conditions: Whether the policy is also evaluated under changed conditions.
         seed: Root seed of the starts; by default that of the training.
-        spread: Where the evaluations under changed conditions run.
+        executor: Where the evaluations under changed conditions run.
         on_world: Called with the number of worlds done, and of all.
 
     Raises:
@@ -908,7 +908,7 @@ def transfer(
     )
     robustness = None
     if with_conditions:
-        robustness = evaluate_robustness(run, min_success=min_success, min_return=min_return, on_level=on_world, spread=spread, **given)
+        robustness = evaluate_robustness(run, min_success=min_success, min_return=min_return, on_level=on_world, executor=executor, **given)
     names, between = _names((run.program.name, program.name), (run.record.engine, engine), scenario is not None)
     conditions = robustness.conditions if robustness is not None else ()
     judged = [*zip(names, (here, there), strict=True)]

@@ -23,8 +23,9 @@ generations.py   windows over training episodes, equally many of each world
 scenario_tests.py  the tests of a scenario
 episodes.py      what episodes leave behind: log, statistics, solved, summaries with intervals
 draws.py         which drawn values have an effect on episodes
+campaign.py      several trainings in one folder: what groups and studies have in common
 group.py         groups: a folder with a run per seed, trained one after the other or on workers
-spread.py        calls of a function with several items: in this process, or on workers
+executor.py      where work runs: in this process, or on workers
 study.py         studies: searches over values of a scenario, a group for each trial
 trials.py        which trial a process takes, how it is trained, scored and pruned
 listing.py       what is known of runs, groups and studies from their files, also while they train

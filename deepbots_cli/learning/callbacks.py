@@ -461,7 +461,7 @@ class TrainingCallback:
             self._report()
         if self.interruption.requested and not self._stop_noted:
             self._stop_noted = True
-            self.reporter.note(f"stopping after this rollout; continue with: deepbots train --resume {quote(str(self.run.path))}")
+            self.reporter.note(f"stopping after this rollout; continue with: deepbots resume {quote(str(self.run.path))}")
         return not self._is_ending
 
     @property

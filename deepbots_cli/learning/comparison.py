@@ -18,10 +18,10 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.episodes import Interval
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, until_enough
+from deepbots_cli.learning.executor import SERIAL, Attempt, Counter, Executor, results
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.order import Measure, measure_of
 from deepbots_cli.learning.run import ModelName, ModelRef, Run, run_folders
-from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, Counter, Spread, results
 from deepbots_cli.learning.statistics import Difference, compare_episodes, compare_seeds, interquartile_mean, mean_interval
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.rollout import Episode
@@ -213,7 +213,7 @@ def compare(
     permissions: Permissions = Permissions(),
     build: WorldFactory | None = None,
     on_run: OnRun | None = None,
-    spread: Spread = ONE_BY_ONE,
+    executor: Executor = SERIAL,
 ) -> Comparison:
     """Evaluate runs and models of runs on the same starts, and compare them by groups.
 
@@ -233,7 +233,7 @@ def compare(
         scenario: The scenario to evaluate all runs in. Its interface must be that of every run.
         own: Whether each run is evaluated in its own scenario, also where they mean the same.
         on_run: Is called after each run.
-        spread: Where the evaluations run; the result does not depend on it.
+        executor: Where the evaluations run; the result does not depend on it.
 
     The other arguments are those of `evaluate`.
 
@@ -257,7 +257,7 @@ def compare(
         for group, world in zip(members, worlds, strict=True)
         for ref in group.models
     ]
-    found = results(spread.map(_evaluate, calls, watcher=Counter(on_run, len(calls)), files=_records(opened)))
+    found = results(executor.map(_evaluate, calls, watcher=Counter(on_run, len(calls)), files=_records(opened)))
     groups = [
         GroupResult(group.name, tuple(islice(found, len(group.models))), group.waiting, tuple(map(_solved_after, group.models)))
         for group in members
@@ -332,7 +332,7 @@ def evaluate_group(
     scenario: Compiled | Scenario | str | Path | None = None,
     until: StopCondition | None = None,
     on_run: OnRun | None = None,
-    spread: Spread = ONE_BY_ONE,
+    executor: Executor = SERIAL,
     **options: Any,
 ) -> GroupResult:
     """Evaluate every run of a group on the same starts.
@@ -341,7 +341,7 @@ def evaluate_group(
         group: The folder of the group. Seeds without a model are left out, and named in `waiting`.
         until: Takes the episodes so far, of all runs in turn, and returns whether they are enough. The result then holds these only.
         on_run: Is called after each run.
-        spread: Where the evaluations run; the result does not depend on it.
+        executor: Where the evaluations run; the result does not depend on it.
         options: Further arguments of `evaluate`. `seed` and `scenario` are as there; the default is the scenario of the group.
 
     Raises:
@@ -356,11 +356,11 @@ def evaluate_group(
         return until is not None and until([*before, *episodes])
 
     given = {**options, "seed": seed, "scenario": judged}
-    stops = {"until": enough} if spread.is_here else {}
+    stops = {"until": enough} if executor.is_here else {}
     calls = [_Evaluation(ref, {**given, **stops}) for ref in members.models]
-    found = results(spread.map(_evaluate, calls, watcher=Counter(on_run, len(calls)), files=_records(members.models)))
+    found = results(executor.map(_evaluate, calls, watcher=Counter(on_run, len(calls)), files=_records(members.models)))
     for ref, result in zip(members.models, found, strict=False):
-        done.append(result if spread.is_here else until_enough(result, enough, ref.run, **given))
+        done.append(result if executor.is_here else until_enough(result, enough, ref.run, **given))
         before += done[-1].outcomes
         if enough(()):
             break
@@ -422,14 +422,14 @@ def _open_runs(group: Group, model: ModelName = "best") -> _GroupMembers:
     Raises:
         RunError: There is none, or the runs have different values.
     """
-    if group.record.attempts:
-        best = group.attempt(group.best_attempt)
+    if group.best is not None:
         raise RunError(
-            f"the runs of {group.path} have different values, so they have no common statistics; name one of them, such as {best}"
+            f"the runs of {group.path} have different values, so they have no common statistics;"
+            f" name one of them, such as {group.best.path}"
         )
     ready = group.runs_with_model
     if not ready:
-        raise RunError(f"{group.path} contains no trained run yet; train it with: deepbots train --resume {group.path}")
+        raise RunError(f"{group.path} contains no trained run yet; train it with: deepbots resume {group.path}")
     waiting = tuple(seed for seed in group.record.seeds if group.run(seed) not in ready)
     return _GroupMembers(group.path.name, [ModelRef.open(run, model=model) for run in ready], waiting)
 

@@ -24,11 +24,11 @@ from deepbots_cli.learning.confirmation import error_level
 from deepbots_cli.learning.draws import DrawLabel, DrawnEffects, by_drawn_value, draw_labels
 from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch, supervisor_factory
 from deepbots_cli.learning.episodes import UNBOUNDED, Summary
+from deepbots_cli.learning.executor import SERIAL, UNWATCHED, Attempt, Executor, Watcher, results
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.run import ModelName, ModelRef, Run, in_parentheses, remark_on_episodes
 from deepbots_cli.learning.sb3.algorithms import torch_settings
-from deepbots_cli.learning.spread import ONE_BY_ONE, UNWATCHED, Attempt, Spread, Watcher, results
 from deepbots_cli.learning.statistics import ALPHA
 from deepbots_cli.learning.verdict import quoted_episodes, solved_verdict
 from deepbots_cli.program import identity
@@ -128,7 +128,7 @@ def evaluate(
     build: WorldFactory | None = None,
     on_episode: OnEpisode | None = None,
     until: StopCondition | None = None,
-    spread: Spread = ONE_BY_ONE,
+    executor: Executor = SERIAL,
 ) -> EvaluationResult:
     """Evaluate the policy of a run on episodes that it was not trained on.
 
@@ -153,7 +153,7 @@ def evaluate(
         build: Function that makes a world of the scenario, in place of the generated supervisor.
         on_episode: Called after each episode with the number of finished episodes and the number of all episodes.
         until: Called with the first k episodes for k = 1, 2, ...; return True to stop. The result then contains only these k episodes.
-        spread: Where the episodes run; the result does not depend on it.
+        executor: Where the episodes run; the result does not depend on it.
 
     Raises:
         RunError: The folder is not a run, is damaged, or does not match `scenario`; the message lists the differences by field.
@@ -164,12 +164,12 @@ def evaluate(
     setting = _Setting(ref.run, episodes, seed, scenario, case, stage, permissions, engine, build)
     policy = _Policy(model, deterministic, copies)
     rounds = math.ceil(setting.episodes / FORWARD_BATCH_SIZE)
-    if spread.is_here or rounds == 1:
+    if executor.is_here or rounds == 1:
         done = setting.play(range(setting.episodes), policy, on_episode, until)
         return setting.result(model, done, deterministic=deterministic)
     if build is not None:
         raise UsageError("`build` makes worlds in this process only; leave out the workers")
-    parts = min(spread.workers, rounds)
+    parts = min(executor.workers, rounds)
     # Each begins with row 0 of a forward pass, as in this process.
     bounds = [min(setting.episodes, FORWARD_BATCH_SIZE * (rounds * part // parts)) for part in range(parts + 1)]
     given: dict[str, Any] = {"episodes": episodes, "seed": seed, "scenario": setting.judged, "case": case, "stage": stage}
@@ -177,7 +177,7 @@ def evaluate(
     calls = [_Part(setting.run, given, range(*part), policy) for part in pairwise(bounds)]
     watcher = _Finished(on_episode, setting.episodes)
     done = []
-    with closing(results(spread.map(_play_part, calls, watcher=watcher, files=[setting.run.path / RECORD_NAME]))) as found:
+    with closing(results(executor.map(_play_part, calls, watcher=watcher, files=[setting.run.path / RECORD_NAME]))) as found:
         for episode in chain.from_iterable(found):
             done.append(episode)
             if until is not None and until(done):
@@ -213,7 +213,7 @@ def play_models(
     numbers: range,
     *,
     watcher: Watcher = UNWATCHED,
-    spread: Spread = ONE_BY_ONE,
+    executor: Executor = SERIAL,
     **options: Any,
 ) -> Generator[list[Episode]]:
     """Episodes of several models of a run from the same held-out starts, for one model after the other.
@@ -223,11 +223,11 @@ def play_models(
         models: The names of the models.
         numbers: The numbers of the starts.
         watcher: Is told of each model that is done.
-        spread: Where the episodes run; the result does not depend on it.
+        executor: Where the episodes run; the result does not depend on it.
         options: `seed`, `permissions` and `build`, as for `evaluate`.
     """
     calls = [_Part(run, options, numbers, _Policy(model, True, None)) for model in models]
-    return results(spread.map(_play_part, calls, watcher=watcher, files=[run.path / RECORD_NAME]))
+    return results(executor.map(_play_part, calls, watcher=watcher, files=[run.path / RECORD_NAME]))
 
 
 class _Finished(Watcher):

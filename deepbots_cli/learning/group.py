@@ -7,58 +7,47 @@
     └── seed-0/, seed-1/ ... the runs
 
 The runs of `train --retry` are `try-1`, `try-2`, ... instead: one seed, with other values under `train` each (`insight/retry.py`).
-The seeds are trained one after the other, or on workers (`spread`): then a training whose worker was lost is resumed by another one, to
+The seeds are trained one after the other, or on workers (`executor`): then a training whose worker was lost is resumed by another one, to
 the same bytes. Importing this module does not load torch.
 """
 
 from __future__ import annotations
 
 import math
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated, Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt
 
-import deepbots_cli
-from deepbots_cli import api, engine_kinds
+from deepbots_cli import api
 from deepbots_cli.api import Compiled
-from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
+from deepbots_cli.learning.campaign import MAX_SEEDS, Campaign, CampaignRecord, Member, train_member
+from deepbots_cli.learning.executor import SERIAL, Attempt, CallOptions, Executor
 from deepbots_cli.learning.order import Measure, Rank, measure_of, rank
 from deepbots_cli.learning.report import GroupProgressReporter, GroupReporter, Reporter, TrainingProgress
 from deepbots_cli.learning.run import (
     WORKERS_FOLDER,
-    RecordFormat,
     RunRecord,
     TrainingOptions,
     TrainingResult,
-    has_ended,
     new_directory,
-    read_json,
-    remove_incomplete,
     run_lock,
-    timestamp,
-    write_text,
 )
-from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, CallOptions, Spread
 from deepbots_cli.learning.verdict import RunVerdict, run_verdict
-from deepbots_cli.rollout.source import GROUP_RECORD_NAME, Source, SourceKind, folder_kind
+from deepbots_cli.rollout.source import GROUP_RECORD_NAME, SourceKind, folder_kind
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.callbacks import Interruption, OnEvaluation
     from deepbots_cli.learning.environments import WorldFactory
 
-FORMAT = 1
-MAX_SEEDS = 1000
 MAX_RETRIES = 20
-_MAX_RECORD_BYTES = 1_000_000
 
 
 class RetryAttempt(BaseModel):
@@ -77,26 +66,13 @@ class RetryAttempt(BaseModel):
     cause: str = ""
     text: str = ""
 
-    @property
-    def assignments(self) -> list[str]:
-        """The values as for `--set`."""
-        return [f"{path}={value}" for path, value in self.settings.items()]
 
-
-class GroupRecord(BaseModel):
+class GroupRecord(CampaignRecord):
     """The content of `group.json`: the seeds, and the settings that all trainings share; see `train` for their meaning.
 
     A group of `train --retry` has one seed, the attempts so far, and the highest number of `retries` after the first.
     """
 
-    model_config = ConfigDict(frozen=True, strict=True)
-
-    format: int
-    deepbots: str
-    scenario: str
-    source: str
-    engine: str
-    seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field(min_length=1, max_length=MAX_SEEDS)
     total_timesteps: PositiveInt | None = None
     stop_when_solved: bool = True
     stage: str | None = None
@@ -105,8 +81,6 @@ class GroupRecord(BaseModel):
     demonstrations: str | None = None
     callbacks: tuple[str, ...] = ()
     loggers: tuple[str, ...] = ()
-    command: tuple[str, ...]
-    started: str
     retries: int = Field(default=0, ge=0, le=MAX_RETRIES)
     attempts: tuple[RetryAttempt, ...] = Field(default=(), max_length=MAX_RETRIES + 1)
 
@@ -117,62 +91,51 @@ class GroupRecord(BaseModel):
 
 
 @dataclass(frozen=True)
-class Group:
-    """A group on disk."""
+class Group(Campaign[GroupRecord]):
+    """A group on disk: a run for each seed, or for each attempt of `train --retry`."""
 
-    path: Path
-    record: GroupRecord
+    noun = "group"
+    kind = SourceKind.GROUP
+    record_name = GROUP_RECORD_NAME
+    record_type = GroupRecord
 
-    @staticmethod
-    def open(path: str | Path | Source) -> Group:
-        """A group that exists.
-
-        Raises:
-            RunError: The folder is no group, its record is damaged, or a newer deepbots wrote it.
-        """
-        path = Source.open(path, Permissions(), SourceKind.GROUP).path
-        found = read_json(path / GROUP_RECORD_NAME, RecordFormat, _MAX_RECORD_BYTES).format
-        if found != FORMAT:
-            raise RunError(
-                f"{path} is a group of format {found}, but this version of deepbots reads {FORMAT}; use the version that wrote it"
-            )
-        record = read_json(path / GROUP_RECORD_NAME, GroupRecord, _MAX_RECORD_BYTES)
-        if len(set(record.seeds)) < len(record.seeds):
-            raise RunError(f"{path / GROUP_RECORD_NAME} is damaged: it lists a seed twice")
-        if any(attempt.base > number for number, attempt in enumerate(record.attempts)) or (record.attempts and len(record.seeds) > 1):
-            raise RunError(f"{path / GROUP_RECORD_NAME} is damaged: its attempts do not follow one another")
-        opened = Group(path, record)
-        for member in (*(path / name for name in (GROUP_RECORD_NAME, RESOLVED_NAME, INPUTS_FOLDER, WORKERS_FOLDER)), *opened.folders):
-            if member.is_symlink():
-                raise RunError(f"{member} is a symbolic link; deepbots does not write symbolic links into a group")
-        return opened
-
-    def write(self) -> None:
-        """Write the record."""
-        write_text(self.path / GROUP_RECORD_NAME, self.record.model_dump_json(indent=2) + "\n")
+    def __post_init__(self) -> None:
+        attempts = self.record.attempts
+        is_ordered = all(attempt.base <= number for number, attempt in enumerate(attempts))
+        if not is_ordered or (attempts and len(self.record.seeds) > 1):
+            raise RunError(f"{self.path / GROUP_RECORD_NAME} is damaged: its attempts do not follow one another")
 
     def run(self, seed: int) -> Path:
         """The folder of the run of a seed, which exists once its training has begun."""
         return self.path / f"seed-{seed}"
 
-    def attempt(self, number: int) -> Path:
-        """The folder of the run of an attempt, from 1."""
-        return self.path / f"try-{number}"
+    @property
+    def attempts(self) -> list[Member]:
+        """The attempts of `train --retry`; empty for a group of seeds."""
+        attempts = enumerate(self.record.attempts, start=1)
+        return [Member(self.path / f"try-{number}", attempt.settings) for number, attempt in attempts]
 
     @property
-    def folders(self) -> list[Path]:
-        """The folders of all runs, in the order of the seeds or attempts."""
-        attempts = range(1, len(self.record.attempts) + 1)
-        return [self.attempt(number) for number in attempts] or [self.run(seed) for seed in self.record.seeds]
+    def planned(self) -> list[Path]:
+        return [attempt.path for attempt in self.attempts] or [self.run(seed) for seed in self.record.seeds]
 
     @property
-    def runs(self) -> list[Path]:
-        """The folders of the runs that have begun, in the order of the seeds or attempts."""
-        return [folder for folder in self.folders if folder_kind(folder) is SourceKind.RUN]
+    def representatives(self) -> list[Path]:
+        """The folders of the runs that stand for the group, of those that have begun: all seeds, but only the best attempt.
+
+        Raises:
+            RunError: A record is damaged.
+        """
+        best = self.best
+        return self.runs if best is None else [best.path]
+
+    @property
+    def best(self) -> Member | None:
+        return self.attempts[self.best_attempt - 1] if self.attempts else None
 
     def attempt_verdict(self, number: int) -> RunVerdict:
-        """The verdict about an attempt. Raises: RunError: Its record is damaged."""
-        folder = self.attempt(number)
+        """The verdict about an attempt, from 1. Raises: RunError: Its record is damaged."""
+        folder = self.planned[number - 1]
         return run_verdict(folder, RunRecord.read(folder)) if folder_kind(folder) is SourceKind.RUN else RunVerdict(None, None)
 
     @property
@@ -189,8 +152,10 @@ class Group:
 
         def order(number: int) -> tuple[bool, Rank, int]:
             verdict = verdicts[number]
-            found = verdict.evaluation
-            score = (-math.inf, -math.inf) if found is None else rank(measure, found.success_rate, found.mean_return)
+            evaluation = verdict.evaluation
+            score = (-math.inf, -math.inf)
+            if evaluation is not None:
+                score = rank(measure, evaluation.success_rate, evaluation.mean_return)
             return verdict.solved is True, score, number
 
         return max(verdicts, key=order)
@@ -244,7 +209,7 @@ def train_group(
     on_seed: OnSeed | None = None,
     on_evaluation: OnEvaluation | None = None,
     build: WorldFactory | None = None,
-    spread: Spread = ONE_BY_ONE,
+    executor: Executor = SERIAL,
     **options: Unpack[TrainingOptions],
 ) -> GroupTraining:
     """Train a scenario with several seeds in a new folder.
@@ -258,7 +223,7 @@ def train_group(
         progress: Whether to report progress on standard error, or your own `Reporter`; on workers it is a table of all trainings.
         on_seed: Is called before each training in this process; where it returns False, the group ends.
         on_evaluation: As for `train`, for each training in this process.
-        spread: Where the trainings run; the result does not depend on it. By default they run in this process, one after the other.
+        executor: Where the trainings run; the result does not depend on it. By default they run in this process, one after the other.
         options: Those of `train`; the arguments `runs` and `build` are as there, too.
 
     Raises:
@@ -274,38 +239,19 @@ def train_group(
     compiled = api.with_learner(compiled)
     checked_settings(compiled.program, seeds, **options)
     path = new_directory(group, runs, compiled.program.name, "seeds")
-    record = new_record(compiled, seeds, options)
-    made = Group(path, record)
-    try:
-        with run_lock(path):
-            write_copies(path, compiled.resolved, compiled.inputs)
-            made.write()
-            return _train_seeds(made, compiled, {}, on_seed, progress, build, spread, on_evaluation)
-    except (DeepbotsError, KeyboardInterrupt):
-        if not made.runs:  # nothing can be trained with these settings, or written there
-            shutil.rmtree(path, ignore_errors=True)
-        raise
+    with Group.created(path, new_record(compiled, seeds, options), compiled) as created:
+        return _train_seeds(created, compiled, {}, on_seed, progress, build, executor, on_evaluation)
 
 
 def new_record(compiled: Compiled, seeds: Sequence[int], options: TrainingOptions, retries: int = 0) -> GroupRecord:
     """The record of a group whose trainings have these options; with `retries`, of a group of attempts."""
     kept: dict[str, Any] = {**options}
     kept |= {name: tuple(kept.get(name, ())) for name in ("callbacks", "loggers", "command")}
-    kept["engine"] = engine_kinds.chosen(kept.get("engine") or compiled.program.engine)
     for name in ("initialize_from", "demonstrations"):
         if kept.get(name) is not None:
             kept[name] = str(Path(kept[name]).absolute())
-    return GroupRecord(
-        format=FORMAT,
-        deepbots=deepbots_cli.__version__,
-        scenario=compiled.program.name,
-        source=str(compiled.source),
-        seeds=tuple(seeds),
-        started=timestamp(),
-        retries=retries,
-        attempts=(RetryAttempt(),) if retries else (),
-        **kept,
-    )
+    kept |= GroupRecord.common(compiled, kept.get("engine"))
+    return GroupRecord(seeds=tuple(seeds), retries=retries, attempts=(RetryAttempt(),) if retries else (), **kept)
 
 
 def resume_group(
@@ -320,32 +266,30 @@ def resume_group(
     on_seed: OnSeed | None = None,
     on_evaluation: OnEvaluation | None = None,
     build: WorldFactory | None = None,
-    spread: Spread = ONE_BY_ONE,
+    executor: Executor = SERIAL,
 ) -> GroupTraining:
     """Continue a group: finished seeds are skipped, interrupted ones continue from their last checkpoint, the others begin.
 
     Arguments are those of `resume` and `train_group`; with a higher `total_timesteps`, finished seeds continue too.
 
     Raises:
-        RunError: The folder is not a group, or is damaged.
+        RunError: The folder is no group, or is damaged.
         UsageError: Another training uses the group, or a callback or logger does not exist.
     """
-    known = Group.open(group)
-    if known.record.attempts:
-        raise UsageError(f"{known.path} is a group of `train --retry`; continue it with: deepbots train --resume {quote(str(known.path))}")
-    given = {"total_timesteps": total_timesteps, "stop_when_solved": stop_when_solved}
+    resumed = Group.open(group)
+    if resumed.attempts:
+        raise UsageError(f"{resumed.path} is a group of `train --retry`; continue it with: deepbots resume {quote(str(resumed.path))}")
+    totals = {"total_timesteps": total_timesteps, "stop_when_solved": stop_when_solved}
     followers = {name: tuple(names) for name, names in (("callbacks", callbacks), ("loggers", loggers)) if names is not None}
-    with run_lock(known.path):
+    with run_lock(resumed.path):
         if followers:
             from deepbots_cli.learning.sb3 import plugins  # which imports torch
 
             plugins.check(followers.get("callbacks", ()), followers.get("loggers", ()))
-            known = Group(known.path, known.record.model_copy(update=followers))
-            known.write()
-        compiled = api.compile(Source.open(known.path))
-        compiled = replace(compiled, source=Path(known.record.source), permissions=permissions)
-        changes = followers | {name: value for name, value in given.items() if value is not None}
-        return _train_seeds(known, compiled, changes, on_seed, progress, build, spread, on_evaluation)
+            resumed = resumed.changed(**followers)
+        changes = followers | {name: value for name, value in totals.items() if value is not None}
+        compiled = resumed.compiled(permissions=permissions)
+        return _train_seeds(resumed, compiled, changes, on_seed, progress, build, executor, on_evaluation)
 
 
 def _train_seeds(
@@ -355,7 +299,7 @@ def _train_seeds(
     on_seed: OnSeed | None,
     progress: bool | Reporter,
     build: WorldFactory | None,
-    spread: Spread,
+    executor: Executor,
     on_evaluation: OnEvaluation | None,
 ) -> GroupTraining:
     """Train or continue every seed that is not finished, with `changes` of the options that the group began with."""
@@ -369,7 +313,7 @@ def _train_seeds(
     failed: dict[int, str] = {}
     with ExitStack() as stack:
         on_workers: CallOptions = {}
-        if spread.is_here:
+        if executor.is_here:
             begins = [None if on_seed is None else partial(on_seed, seed, number, len(seeds)) for number, seed in enumerate(seeds, 1)]
             own = {"progress": progress, "build": build, "on_evaluation": on_evaluation}
             items = [replace(item, own=own, begin=begins[seeds.index(item.seed)]) for item in items]
@@ -382,7 +326,7 @@ def _train_seeds(
             stack.enter_context(signals_handled(interruption))
             on_workers = {"watcher": reporter, "stop": partial(_stops, interruption, reporter)}
             on_workers |= {"files": [group.path / GROUP_RECORD_NAME], "log": partial(_log_of, group.path)}
-        found = stack.enter_context(closing(spread.map(_train_seed, items, **on_workers)))
+        found = stack.enter_context(closing(executor.map(_train_seed, items, **on_workers)))
         with suppress(KeyboardInterrupt):  # before a training handles it itself, or a second one
             for seed, outcome in zip(left, found, strict=False):
                 if isinstance(outcome, DeepbotsError):
@@ -391,9 +335,9 @@ def _train_seeds(
                     failed[seed] = outcome.full_message
                 elif outcome is not None:
                     trained.append(outcome)
-                    if spread.is_here and outcome.stop_requested:
+                    if executor.is_here and outcome.stop_requested:
                         break
-                elif spread.is_here:
+                elif executor.is_here:
                     break
     done = {result.run for result in trained if not result.interrupted}
     waiting = tuple(seed for seed in left if seed not in failed and group.run(seed) not in done)
@@ -440,21 +384,11 @@ def _is_complete(run: Path, changes: Mapping[str, Any]) -> bool:
 
 def _train_seed(item: _SeedTraining, attempt: Attempt) -> TrainingResult | None:
     """Train a seed, or continue its run, which may have been begun by a worker that was lost; None if the group ends before."""
-    from deepbots_cli.learning.training import resume, train  # which imports torch
-
     if item.begin is not None and item.begin() is False:
         return None
     own = {"progress": _AttemptReporter(attempt)} if item.own is None else item.own
-    if attempt.number > 1:
-        has_ended(item.path)
-    if folder_kind(item.path) is not SourceKind.RUN:
-        remove_incomplete(item.path)
-        return train(item.compiled, run=item.path, seed=item.seed, **{**item.options, **item.changes}, **own)
-    record = RunRecord.read(item.path)
-    is_done = record.status == "finished" and record.total_timesteps == item.changes.get("total_timesteps", record.total_timesteps)
-    if attempt.number > 1 and is_done and record.result is not None:  # only its result was lost
-        return TrainingResult(run=item.path, initialized_from=record.initialized_from, **vars(record.result))
-    return resume(item.path, permissions=item.compiled.permissions, **item.changes, **own)
+    is_repeated = attempt.number > 1
+    return train_member(item.path, item.compiled, item.seed, item.options, item.changes, is_repeated=is_repeated, **own)
 
 
 class _AttemptReporter(Reporter):

@@ -18,6 +18,7 @@ from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.evaluation import play_models
+from deepbots_cli.learning.executor import SERIAL, Counter, Executor
 from deepbots_cli.learning.learner import steps_of
 from deepbots_cli.learning.order import (
     Candidate,
@@ -27,7 +28,6 @@ from deepbots_cli.learning.order import (
     play_off,
 )
 from deepbots_cli.learning.run import BestModel, ModelName, ModelRef, Run, has_model, run_lock
-from deepbots_cli.learning.spread import ONE_BY_ONE, Counter, Spread
 from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.streams import derive_seed
 
@@ -68,7 +68,7 @@ def keep(
     permissions: Permissions = Permissions(),
     build: WorldFactory | None = None,
     on_model: Callable[[int, int], object] | None = None,
-    spread: Spread = ONE_BY_ONE,
+    executor: Executor = SERIAL,
 ) -> KeptModel:
     """Make a model the best one of its run: the model that was named, or of a run, the best one on new starts.
 
@@ -77,7 +77,7 @@ def keep(
         permissions: With `code`, the scenario may run functions of installed Python packages.
         build: Function that makes a world of the scenario, in place of the generated supervisor.
         on_model: Called after each model of each round with the number of those done and of all.
-        spread: Where the models play; the result does not depend on it.
+        executor: Where the models play; the result does not depend on it.
 
     Raises:
         UsageError: A training is at work in the run or has not ended, or the run has a single model.
@@ -88,7 +88,7 @@ def keep(
         run = Run.open(folder)  # a training that has just ended in there has changed the record
         result = run.record.result
         if result is None:
-            raise UsageError(f"the training of {folder} has not ended; continue it with: deepbots train --resume {quote(str(folder))}")
+            raise UsageError(f"the training of {folder} has not ended; continue it with: deepbots resume {quote(str(folder))}")
         if ref.is_named and not has_model(folder, ref.name):
             raise RunError(f"{ref.path} is no model that can be kept; names are such as last.zip and step-000020000.zip")
         program, before = run.program, result.best_model
@@ -101,7 +101,7 @@ def keep(
             best = BestModel(steps=steps_of(ref.path), chosen_by="hand", measure=measure, evaluation_seed=evaluation_seed)
         else:
             options = {"seed": _six_digits(run, "choice", previous), "permissions": permissions, "build": build}
-            played = _played(run, measure, on_model, spread, options)
+            played = _played(run, measure, on_model, executor, options)
             name, winner = played[0].name, played[0].result
             best = BestModel(
                 steps=winner.steps,
@@ -144,7 +144,7 @@ def _played(
     run: Run,
     measure: Measure,
     on_model: Callable[[int, int], object] | None,
-    spread: Spread,
+    executor: Executor,
     options: dict[str, Any],
 ) -> list[PlayedModel]:
     """All models of a run with their results on new starts, the best one first.
@@ -160,7 +160,7 @@ def _played(
     watcher = Counter(on_model, _model_count(len(names)))
 
     def play(steps: Sequence[int], numbers: range) -> Iterable[list[Episode]]:
-        return play_models(run, [names[each] for each in steps], numbers, watcher=watcher, spread=spread, **options)
+        return play_models(run, [names[each] for each in steps], numbers, watcher=watcher, executor=executor, **options)
 
     results, _ = play_off(list(names), play, measure)
     return [PlayedModel(names[result.steps], result) for result in results]

@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
-from typing import Literal
+from typing import Any, Literal
 
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import MappingNode, ScalarNode
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import read_at_most
+from deepbots_cli.learning.campaign import Campaign
 from deepbots_cli.learning.decline import Decline, decline_of
 from deepbots_cli.learning.episodes import WINDOW_EPISODES, read_log
 from deepbots_cli.learning.group import Group
@@ -167,62 +168,57 @@ def _decline(path: Path, record: RunRecord) -> Decline | None:
 
 def _listed_group(path: Path) -> ListedRun:
     group = Group.open(path)
-    runs = tuple(read_listed(run) for run in group.runs)
-    readable = [run for run in runs if run.problem is None]
-    planned = len(group.folders)
-    if group.record.attempts:  # the best one stands for all
-        best = group.attempt(group.best_attempt)
-        readable = [run for run in readable if run.path == best]
-    returns = [run.mean_return for run in readable if run.mean_return is not None]
-    rates = [run.success_rate for run in readable if run.success_rate is not None]
-    costs = [run.cpu_seconds for run in readable if run.cpu_seconds is not None]
-    states = {run.state for run in runs}
+    counted = group.representatives
+    listed = _listed_campaign(group, counted)
+    runs = [run for run in listed.runs if run.path in counted and run.problem is None]
+    returns = [run.mean_return for run in runs if run.mean_return is not None]
+    rates = [run.success_rate for run in runs if run.success_rate is not None]
+    states = {run.state for run in listed.runs}
     state: State = "training" if is_training(path) else "failed" if states & {"failed", "unreadable"} else "interrupted"
-    if state != "training" and states == {"finished"} and len(runs) == planned:
+    if state != "training" and states == {"finished"} and len(listed.runs) == len(group.planned):
         state = "finished"
-    return ListedRun(
-        path,
-        state,
-        scenario=group.record.scenario,
-        source=group.record.source,
-        digest=readable[0].digest if readable else "",
+    seeds = group.record.seeds
+    return replace(
+        listed,
+        state=state,
+        digest=runs[0].digest if runs else "",
         settings=changed_settings(group.record.command),
-        teacher=readable[0].teacher if readable else None,
-        engine=group.record.engine,
-        seeds=group.record.seeds,
-        steps=sum(run.steps or 0 for run in readable),
-        total_timesteps=readable[0].total_timesteps * len(group.record.seeds) if readable and readable[0].total_timesteps else None,
-        episodes=sum(run.episodes or 0 for run in readable),
+        teacher=runs[0].teacher if runs else None,
+        total_timesteps=runs[0].total_timesteps * len(seeds) if runs and runs[0].total_timesteps else None,
         mean_return=fmean(returns) if returns else None,
         success_rate=fmean(rates) if rates else None,
-        score="training" if "training" in {run.score for run in readable} else "evaluation" if returns else None,
-        evaluated_episodes=min((run.evaluated_episodes for run in readable if run.evaluated_episodes), default=None),
-        solved=bool(readable) and len(readable) == len(group.record.seeds) and all(run.solved for run in readable),
-        cpu_seconds=sum(costs) if costs else None,
-        updated=max((run.updated for run in readable), default=group.record.started),
-        runs=runs,
+        score="training" if "training" in {run.score for run in runs} else "evaluation" if returns else None,
+        evaluated_episodes=min((run.evaluated_episodes for run in runs if run.evaluated_episodes), default=None),
+        solved=bool(runs) and len(runs) == len(seeds) and all(run.solved for run in runs),
     )
 
 
 def _listed_study(path: Path) -> ListedRun:
     study = Study.open(path)
-    trials = tuple(map(read_listed, study.groups))
-    costs = [trial.cpu_seconds for trial in trials if trial.cpu_seconds is not None]
-    state: State = "finished" if len(trials) >= study.record.trials else "interrupted"
+    listed = _listed_campaign(study, study.runs)
+    state: State = "finished" if len(listed.runs) >= study.record.trials else "interrupted"
+    if any(trial.state == "training" for trial in listed.runs):
+        state = "training"
+    return replace(listed, state=state, settings=study.record.set, planned=study.record.trials)
+
+
+def _listed_campaign(campaign: Campaign[Any], counted: Sequence[Path]) -> ListedRun:
+    """What all campaigns have: the members, and the sums over those in the `counted` folders."""
+    members = tuple(map(read_listed, campaign.runs))
+    summed = [member for member in members if member.path in counted and member.problem is None]
+    costs = [member.cpu_seconds for member in summed if member.cpu_seconds is not None]
     return ListedRun(
-        path,
-        "training" if any(trial.state == "training" for trial in trials) else state,
-        scenario=study.record.scenario,
-        source=study.record.source,
-        settings=study.record.set,
-        engine=study.record.engine,
-        seeds=study.record.seeds,
-        steps=sum(trial.steps or 0 for trial in trials),
-        episodes=sum(trial.episodes or 0 for trial in trials),
+        campaign.path,
+        "interrupted",
+        scenario=campaign.record.scenario,
+        source=campaign.record.source,
+        engine=campaign.record.engine,
+        seeds=campaign.record.seeds,
+        steps=sum(member.steps or 0 for member in summed),
+        episodes=sum(member.episodes or 0 for member in summed),
         cpu_seconds=sum(costs) if costs else None,
-        updated=max((trial.updated for trial in trials), default=study.record.started),
-        runs=trials,
-        planned=study.record.trials,
+        updated=max((member.updated for member in summed), default=campaign.record.started),
+        runs=members,
     )
 
 

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, TextIO
 from pydantic import BaseModel
 
 from deepbots_cli.learning.episodes import SUCCESS_STATISTICS
+from deepbots_cli.learning.executor import Watcher
 from deepbots_cli.learning.order import Candidate, Measure
 from deepbots_cli.learning.run import TrainingResult
-from deepbots_cli.learning.spread import Watcher
 from deepbots_cli.program.task import Solved
 
 if TYPE_CHECKING:
@@ -232,7 +232,7 @@ class GroupProgressReporter(GroupReporter):
     def stop(self) -> None:
         if not self._is_stopping:
             self._is_stopping = True
-            self._print(f"stopping after these rollouts; continue with: deepbots train --resume {quote(str(self._group))}")
+            self._print(f"stopping after these rollouts; continue with: deepbots resume {quote(str(self._group))}")
 
     def close(self) -> None:
         self._show(at_once=True)

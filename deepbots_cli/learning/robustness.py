@@ -31,8 +31,8 @@ from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
 from deepbots_cli.learning.episodes import Interval
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
+from deepbots_cli.learning.executor import SERIAL, Attempt, Counter, Executor, results
 from deepbots_cli.learning.run import ModelName, ModelRef, Run
-from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, Counter, Spread, results
 from deepbots_cli.program import Program
 from deepbots_cli.rollout.source import RECORD_NAME, Source, SourceKind
 
@@ -204,7 +204,7 @@ def evaluate_robustness(
     mass_of: str | None = None,
     permissions: Permissions = Permissions(),
     on_level: Callable[[int, int], object] | None = None,
-    spread: Spread = ONE_BY_ONE,
+    executor: Executor = SERIAL,
     **options: Any,
 ) -> Robustness:
     """Evaluate a policy with latency and loss of messages, noise of the observation, another mass, other friction, and weaker motors.
@@ -226,7 +226,7 @@ def evaluate_robustness(
         min_return: The required mean return, in place of the success rate.
         mass_of: The link (`ROBOT.LINK`) or object whose mass is changed; by default the heaviest link that can move.
         on_level: Is called after each evaluation with the number of those done and of all.
-        spread: Where the evaluations run; the result does not depend on it.
+        executor: Where the evaluations run; the result does not depend on it.
         options: Further arguments of `evaluate`; `seed`, `model` and `permissions` are as there.
 
     Raises:
@@ -264,7 +264,7 @@ def evaluate_robustness(
                 yield _Level(known, plan.name, side, label, level, given)
 
     measured: dict[tuple[str | None, str], list[RobustnessLevel]] = defaultdict(list)
-    with closing(results(spread.map(_evaluate_level, levels(), watcher=counter, files=[known.path / RECORD_NAME]))) as evaluated:
+    with closing(results(executor.map(_evaluate_level, levels(), watcher=counter, files=[known.path / RECORD_NAME]))) as evaluated:
         _, _, _, nominal = next(evaluated)
         metric, bar, source = _bar(program, nominal, min_success, min_return)
         if bar is None:

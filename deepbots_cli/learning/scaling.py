@@ -10,14 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Protocol
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import ScenarioError
 from deepbots_cli.learning.episodes import MAX_STEPS
-from deepbots_cli.learning.shards import THIS_PROCESS, Placement
+from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.training import Iteration, train
 from deepbots_cli.rollout.collector import CollectTimes
 from deepbots_cli.scenario.fields import counted_noun
@@ -29,14 +28,6 @@ _LEARNING_STARTS = 200
 """Steps before the first update of an off-policy algorithm, if it permits so few."""
 MIN_GAIN = 1.1
 """How much faster several shards must be to be chosen."""
-
-
-class Workers(Placement, Protocol):
-    """Processes for shards, such as a `Cluster`."""
-
-    @property
-    def workers(self) -> int:
-        """Their number."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +64,7 @@ class ShardTiming:
 def measure(
     scenario: str,
     shards: Sequence[int],
-    workers: Workers | None,
+    workers: Executor,
     *,
     overrides: Sequence[str] = (),
     permissions: Permissions = Permissions(),
@@ -87,7 +78,7 @@ def measure(
     Args:
         scenario: The path of a file, or the name of a shipped scenario.
         shards: The numbers of shards.
-        workers: Where several shards run; by default in this process too.
+        workers: Where several shards run.
         folder: Where a temporary folder is made; workers on other machines must see it.
         on_measured: Called with the number of measurements that are done and that of all.
     """
@@ -95,7 +86,7 @@ def measure(
     show = on_measured or (lambda done, of: None)
     for number, count in enumerate(shards):
         show(number, len(shards))
-        placement = workers if workers is not None and count > 1 else None
+        executor = workers if count > 1 else SERIAL
         with TemporaryDirectory(prefix="deepbots-", dir=folder) as path:
             times = _Times(seconds)
             train(
@@ -104,10 +95,11 @@ def measure(
                 seed=seed,
                 total_timesteps=MAX_STEPS,
                 stop_when_solved=False,
-                placement=placement or THIS_PROCESS,
+                executor=executor,
                 on_iteration=times.note,
             )
-        found.append(times.timing(count, min(count, placement.workers) if placement else 0, found[0].steps_per_second if found else None))
+        processes = 0 if executor.is_here else min(count, executor.workers)
+        found.append(times.timing(count, processes, found[0].steps_per_second if found else None))
     show(len(shards), len(shards))
     return found
 

@@ -12,7 +12,7 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from time import perf_counter
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -37,7 +37,6 @@ from deepbots_cli.rollout.collector import (
     LocalCollector,
     Order,
     RunningEpisode,
-    ShardPool,
 )
 from deepbots_cli.rollout.worlds import Array, BatchWorlds, Worlds
 from deepbots_cli.runtime.streams import derive_seed
@@ -273,20 +272,3 @@ def world_numbers(training: Training) -> list[range]:
     sizes = sorted((end - begin for begin, end in pairwise(ends)), reverse=True)
     ends = [0, *accumulate(sizes)]
     return [range(begin, end) for begin, end in pairwise(ends)]
-
-
-class Placement(Protocol):
-    """Where shards run."""
-
-    def shards(self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Callable[[str], None]) -> ShardPool:
-        """The shards of a training, which end with `stack`; `note` is called with what the user should know."""
-
-
-class _ThisProcess:
-    def shards(self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Callable[[str], None]) -> ShardPool:
-        pool = LocalShards([Shard(run, build, number, worlds) for number, worlds in enumerate(world_numbers(training))])
-        stack.callback(pool.close)
-        return pool
-
-
-THIS_PROCESS: Placement = _ThisProcess()

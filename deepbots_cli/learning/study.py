@@ -17,39 +17,28 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt, TypeAdapter, ValidationError
+from pydantic import Field, PositiveInt, TypeAdapter, ValidationError
 
-import deepbots_cli
-from deepbots_cli import api, engine_kinds
-from deepbots_cli.api import Compiled
+from deepbots_cli import api
 from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
-from deepbots_cli.document import Permissions, inline_text
+from deepbots_cli.document import inline_text
 from deepbots_cli.document.load import TUNE, setting_path
 from deepbots_cli.document.nodes import node_at
-from deepbots_cli.errors import DeepbotsError, MissingExtraError, RunError, UsageError
+from deepbots_cli.errors import MissingExtraError, RunError, UsageError
+from deepbots_cli.learning.campaign import Campaign, CampaignRecord, Member
 from deepbots_cli.learning.episodes import UNBOUNDED, Interval
 from deepbots_cli.learning.order import Measure, Rank, rank
 from deepbots_cli.learning.report import TrainingProgress
-from deepbots_cli.learning.run import (
-    WORKERS_FOLDER,
-    RecordFormat,
-    new_directory,
-    read_json,
-    timestamp,
-    versions,
-    write_text,
-)
-from deepbots_cli.rollout.source import STUDY_RECORD_NAME, Source, SourceKind, folder_kind
+from deepbots_cli.learning.run import new_directory, versions
+from deepbots_cli.rollout.source import STUDY_RECORD_NAME, SourceKind
 from deepbots_cli.scenario.search import SearchSpace
 
 if TYPE_CHECKING:
@@ -57,41 +46,29 @@ if TYPE_CHECKING:
 
     from deepbots_cli.learning.statistics import Difference
 
-FORMAT = 1
 JOURNAL_NAME = "journal.log"
 Objective = Literal["solved", "success_rate", "mean_return"]
 TrialState = Literal["running", "complete", "pruned", "failed"]
 
-_MAX_RECORD_BYTES = 1_000_000
 _MAX_JOURNAL_BYTES = 200_000_000
 
 
-class StudyRecord(BaseModel):
+class StudyRecord(CampaignRecord):
     """The content of `study.json`.
 
     `set` are the assignments of `--set`. `present` are the values of the scenario itself, which the first trial tries; empty where one of
     them is not in the file, or not in its range. `total_timesteps` are those of each training, `seed` is that of the search.
     """
 
-    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
-
-    format: int
-    deepbots: str
-    scenario: str
-    source: str
     set: tuple[str, ...] = ()
-    engine: str
     search: Mapping[str, SearchSpace] = Field(min_length=1)
     present: Mapping[str, float | str] = {}
-    seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field(min_length=1, max_length=1000)
     trials: PositiveInt
     total_timesteps: PositiveInt
     objective: Objective
     prune: bool
     seed: int = Field(ge=0, lt=2**63)
     versions: Mapping[str, str]
-    command: tuple[str, ...]
-    started: str
 
     @property
     def lower_is_better(self) -> bool:
@@ -130,22 +107,15 @@ class SeedScore:
     success_rate: float | None = None
 
 
-@dataclass(frozen=True)
-class StudyTrial:
-    """A trial, as far as it is known. `values` are texts, `score` is None unless it is complete, `reason` says why it failed."""
+@dataclass(frozen=True, kw_only=True)
+class StudyTrial(Member):
+    """A trial, as far as it is known. `score` is None unless it is complete, `reason` says why it failed."""
 
     number: int
-    path: Path
     state: TrialState
-    values: Mapping[str, str]
     score: float | None = None
     seeds: tuple[SeedScore, ...] = ()
     reason: str | None = None
-
-    @property
-    def assignments(self) -> list[str]:
-        """The values as for `--set`."""
-        return [f"{name}={text}" for name, text in self.values.items()]
 
     @property
     def success_rate(self) -> float | None:
@@ -254,33 +224,14 @@ class Journal:
 
 
 @dataclass(frozen=True)
-class Study:
+class Study(Campaign[StudyRecord]):
     """A study on disk."""
 
-    path: Path
-    record: StudyRecord
-
-    @staticmethod
-    def open(path: str | Path | Source) -> Study:
-        """A study that exists.
-
-        Raises:
-            RunError: The folder is no study, its record is damaged, or another version of deepbots wrote it.
-        """
-        path = Source.open(path, Permissions(), SourceKind.STUDY).path
-        found = read_json(path / STUDY_RECORD_NAME, RecordFormat, _MAX_RECORD_BYTES).format
-        if found != FORMAT:
-            raise RunError(f"{path} is a study of format {found}, but this version of deepbots reads {FORMAT}")
-        for name in (STUDY_RECORD_NAME, RESOLVED_NAME, INPUTS_FOLDER, JOURNAL_NAME, WORKERS_FOLDER):
-            if (path / name).is_symlink():
-                raise RunError(f"{path / name} is a symbolic link; deepbots does not write symbolic links into a study")
-        return Study(path, read_json(path / STUDY_RECORD_NAME, StudyRecord, _MAX_RECORD_BYTES))
-
-    def with_trials(self, trials: int) -> Study:
-        """The study with another number of trials in all, here and on disk."""
-        changed = Study(self.path, self.record.model_copy(update={"trials": trials}))
-        write_text(self.path / STUDY_RECORD_NAME, changed.record.model_dump_json(indent=2) + "\n")
-        return changed
+    noun = "study"
+    kind = SourceKind.STUDY
+    record_name = STUDY_RECORD_NAME
+    record_type = StudyRecord
+    files = (*Campaign.files, JOURNAL_NAME)
 
     @property
     def journal_bytes(self) -> int:
@@ -292,15 +243,12 @@ class Study:
         return self.path / f"trial-{number}"
 
     @property
-    def groups(self) -> list[Path]:
-        """The folders of the trials that have begun, by number."""
-        found = [path for path in self.path.glob("trial-*") if folder_kind(path) is SourceKind.GROUP]
-        return sorted(found, key=lambda path: (len(path.name), path.name))
+    def planned(self) -> list[Path]:
+        return sorted(self.path.glob("trial-*"), key=lambda path: (len(path.name), path.name))
 
-    def compiled(self, overrides: Sequence[str] = (), permissions: Permissions = Permissions()) -> Compiled:
-        """The scenario with assignments of `--set`."""
-        found = api.compile(Source.kept(self.path, kind=SourceKind.STUDY), overrides=overrides)
-        return replace(found, source=Path(self.record.source), permissions=permissions)
+    @property
+    def best(self) -> StudyTrial | None:
+        return next(iter(self.ranked(self.trials())), None)
 
     def connect(self) -> Journal:
         """Its journal, which is made where there is none.
@@ -353,8 +301,9 @@ class Study:
         except (ValidationError, LookupError, TypeError, ValueError) as error:
             raise RunError(f"{self.path / JOURNAL_NAME} is damaged: trial {frozen.number} does not fit the search space") from error
         state, reason = ("failed", str(reason)) if reason else (state, None)
-        found = frozen.value if state == "complete" else None
-        return StudyTrial(frozen.number, self.trial_folder(frozen.number), state, values, found, seeds, reason)
+        score = frozen.value if state == "complete" else None
+        folder = self.trial_folder(frozen.number)
+        return StudyTrial(folder, values, number=frozen.number, state=state, score=score, seeds=seeds, reason=reason)
 
     def ranked(self, trials: Sequence[StudyTrial]) -> list[StudyTrial]:
         """The complete trials, the best first.
@@ -421,14 +370,9 @@ def create_study(
     written = {name: node_at(root, *setting_path(root, name)) for name in checked.search}
     values = {name: space.value_of(inline_text(node)) for name, space in checked.search.items() if (node := written[name]) is not None}
     present = {name: value for name, value in values.items() if value is not None}
-    path = new_directory(folder, runs, program.name, "tune")
     record = StudyRecord(
-        format=FORMAT,
-        deepbots=deepbots_cli.__version__,
-        scenario=program.name,
-        source=str(compiled.source),
+        **StudyRecord.common(compiled),
         set=tuple(text for text in compiled.overrides if re.split(r"[.=]", text, maxsplit=1)[0].strip() != TUNE),
-        engine=engine_kinds.chosen(program.engine),
         search=checked.search,
         present=present if len(present) == len(checked.search) else {},
         seeds=tuple(range(tune.seeds) if seeds is None else seeds),
@@ -439,14 +383,7 @@ def create_study(
         seed=seed,
         versions=versions("optuna"),
         command=tuple(command),
-        started=timestamp(),
     )
-    try:
-        write_copies(path, compiled.resolved, compiled.inputs)
-        write_text(path / STUDY_RECORD_NAME, record.model_dump_json(indent=2) + "\n")
-        made = Study(path, record)
-        made.connect()
-    except (DeepbotsError, KeyboardInterrupt):
-        shutil.rmtree(path, ignore_errors=True)
-        raise
-    return made
+    with Study.created(new_directory(folder, runs, program.name, "tune"), record, compiled) as study:
+        study.connect()
+        return study

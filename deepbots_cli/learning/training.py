@@ -44,6 +44,7 @@ from deepbots_cli.learning.demonstrations import Demonstrations, demonstrate, re
 from deepbots_cli.learning.environments import WorldFactory, stepping_text, supervisor_factory
 from deepbots_cli.learning.episodes import MAX_STEPS, EpisodeLog, Statistics, Summary
 from deepbots_cli.learning.evaluation import confirmation_result
+from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.report import Reporter, reporter, to_json
 from deepbots_cli.learning.run import (
@@ -66,7 +67,6 @@ from deepbots_cli.learning.run import (
 from deepbots_cli.learning.sb3 import algorithms, plugins
 from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.learning.sb3.logs import TrainingLog
-from deepbots_cli.learning.shards import THIS_PROCESS, Placement
 from deepbots_cli.learning.teacher import Teaching
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Teacher, Training
@@ -120,7 +120,7 @@ def train(
     command: Sequence[str] = (),
     engine: str | None = None,
     build: WorldFactory | None = None,
-    placement: Placement = THIS_PROCESS,
+    executor: Executor = SERIAL,
     on_start: Callable[[Path], object] = lambda run: None,
     on_evaluation: OnEvaluation | None = None,
     on_iteration: OnIteration | None = None,
@@ -150,7 +150,7 @@ def train(
         command: The command line, for the record.
         engine: The physics engine. By default the engine of the scenario; if it names none, `pybullet`, or the first installed engine.
         build: Function that makes a world of the scenario, in place of the generated supervisor.
-        placement: Where the shards of the training run; the result does not depend on it.
+        executor: Where the shards of the training run; the result does not depend on it.
         on_start: Called with the run directory once it exists.
         on_evaluation: Called with the run directory after each evaluation during the training. It returns None to go on, or the name of who
             stops the training, which becomes `stopped_by` of the result.
@@ -211,7 +211,7 @@ def train(
         on_start(path)
         checkpoints = Checkpoints(new, learners.class_of(training).State)
         return run_training(
-            new, training, checkpoints, build, reporter(progress), placement, on_evaluation=on_evaluation, on_iteration=on_iteration
+            new, training, checkpoints, build, reporter(progress), executor, on_evaluation=on_evaluation, on_iteration=on_iteration
         )
 
 
@@ -248,7 +248,7 @@ def resume(
     progress: bool | Reporter = False,
     permissions: Permissions = Permissions(),
     build: WorldFactory | None = None,
-    placement: Placement = THIS_PROCESS,
+    executor: Executor = SERIAL,
     on_evaluation: OnEvaluation | None = None,
 ) -> TrainingResult:
     """Continue a run from its last checkpoint, in the same directory.
@@ -310,7 +310,7 @@ def resume(
         }
         known.record = record.model_copy(update=changes)  # written once the checkpoint is restored
         build = build or supervisor_factory(record.engine, permissions=permissions)
-        return run_training(known, training, checkpoints, build, reporter(progress), placement, before=record, on_evaluation=on_evaluation)
+        return run_training(known, training, checkpoints, build, reporter(progress), executor, before=record, on_evaluation=on_evaluation)
 
 
 def _training_of(program: Program, total_timesteps: int | None, callbacks: Sequence[str] = ()) -> Training:
@@ -366,7 +366,7 @@ def run_training(
     checkpoints: Checkpoints,
     build: WorldFactory,
     reporter: Reporter,
-    placement: Placement,
+    executor: Executor,
     before: RunRecord | None = None,
     on_evaluation: OnEvaluation | None = None,
     on_iteration: OnIteration | None = None,
@@ -406,7 +406,7 @@ def run_training(
             checkpoints.on_restored.append(episode_log.open)
             stack.callback(episode_log.close)
             counter = TrainingCounter(callback, episode_log, reporter)
-            collector = make_collector(stack, run, training, build, counter, checkpoints, reporter, placement)
+            collector = make_collector(stack, run, training, build, counter, checkpoints, reporter, executor)
             evaluator.shards = collector if isinstance(collector, ShardedCollector) else None
             learner = _create(training, run.program, collector, derive_seed(run.record.seed, "policy"), shown)
             learner.log = log = TrainingLog(run)
@@ -532,7 +532,7 @@ def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoint
     """The error that ended a training, with what is kept of it and how to use that."""
     known = StorageError(unwritable_message(Path(error.filename or run.path), error)) if isinstance(error, OSError) else error
     if checkpoints.description and (isinstance(known, PluginError) or isinstance(known.__cause__ or error, OSError)):
-        known.add_note(f"{checkpoints.description}; continue from there with: deepbots train --resume {quote(str(run.path))}")
+        known.add_note(f"{checkpoints.description}; continue from there with: deepbots resume {quote(str(run.path))}")
     elif checkpoints.has_learned:  # going on would fail again, to the bit
         known.add_note(f"{checkpoints.description}; evaluate what was learned with: deepbots eval {quote(str(run.path))}")
     elif checkpoints.description:
@@ -585,7 +585,7 @@ def make_collector(
     counter: TrainingCounter,
     checkpoints: Checkpoints,
     reporter: Reporter,
-    placement: Placement,
+    executor: Executor,
 ) -> Collector:
     """The worlds of a training, in shards if it has several; all closed with `stack`."""
     stages = checkpoints.stages
@@ -593,7 +593,7 @@ def make_collector(
         stages.extend([counter.present()[2]] * training.environments)
     if training.shards > 1:
         agents = stack.enter_context(closing(build(run.program)))
-        pool = placement.shards(stack, run, training, build, reporter.note)
+        pool = executor.shards(stack, run, training, build, reporter.note)
         sizes = [len(numbers) for numbers in shards.world_numbers(training)]
         seeds = [shards.world_seed(run, world) for world in range(training.environments)]
         return ShardedCollector(pool, seeds, stages, sizes, Worlds([agents], [0]).agents, counter)

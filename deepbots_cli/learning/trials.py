@@ -16,11 +16,12 @@ from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
 from deepbots_cli.files import read_at_most
+from deepbots_cli.learning.campaign import evaluate_once
 from deepbots_cli.learning.episodes import meets_solved
+from deepbots_cli.learning.executor import SERIAL, Attempt, CallOptions, Executor, Watcher
 from deepbots_cli.learning.group import Group, resume_group, train_group
-from deepbots_cli.learning.report import Reporter, TrainingProgress, to_json
-from deepbots_cli.learning.run import WORKERS_FOLDER, Run, RunRecord, has_ended, is_training, run_lock
-from deepbots_cli.learning.spread import ONE_BY_ONE, Attempt, CallOptions, Spread, Watcher
+from deepbots_cli.learning.report import Reporter, TrainingProgress
+from deepbots_cli.learning.run import WORKERS_FOLDER, RunRecord, has_ended, is_training, run_lock
 from deepbots_cli.learning.study import Journal, Objective, SeedScore, Study, StudyReporter, TrialProgress, TrialResult
 from deepbots_cli.learning.verdict import quoted_evaluation
 from deepbots_cli.program import Program
@@ -52,7 +53,7 @@ _MAX_FAILED_FIRST = 3
 
 
 def run_study(
-    study: Study, *, reporter: StudyReporter | None = None, permissions: Permissions = Permissions(), spread: Spread = ONE_BY_ONE
+    study: Study, *, reporter: StudyReporter | None = None, permissions: Permissions = Permissions(), executor: Executor = SERIAL
 ) -> bool:
     """Take trials until the study has as many as its record says, or none is left for this process.
 
@@ -65,29 +66,29 @@ def run_study(
         study: The study.
         reporter: Follows the trials.
         permissions: With `code`, the scenario may run functions of installed Python packages.
-        spread: Where trials run, by default in this process, one after the other. With several at a time, the values of a trial depend on
+        executor: Where trials run, by default in this process, one after the other. With several at a time, the values of a trial depend on
             those that have ended when it begins. What a trial with these values comes to does not, except for pruning.
 
     Raises:
         RunError: The study is damaged.
-        UsageError: The first trials fail; the message is that of the last one. Also the errors of `Spread.map`.
+        UsageError: The first trials fail; the message is that of the last one. Also the errors of `Executor.map`.
     """
     with ExitStack() as stack:
         search = stack.enter_context(closing(_Search(study, reporter or StudyReporter(), permissions)))
         options: CallOptions = {"watcher": search}
-        if not spread.is_here:
+        if not executor.is_here:
             from deepbots_cli.learning.callbacks import Interruption, signals_handled  # which imports torch
 
             interruption = Interruption()
             stack.enter_context(signals_handled(interruption))
             options |= {"stop": partial(search.stops, interruption), "files": [study.path / RESOLVED_NAME], "log": _log_of}
-        found = stack.enter_context(closing(spread.map(run_trial, search.trials(), **options)))
+        found = stack.enter_context(closing(executor.map(run_trial, search.trials(), **options)))
         try:
             for outcome in found:
-                if spread.is_here and (not isinstance(outcome, TrialResult) or outcome.stop_requested):
+                if executor.is_here and (not isinstance(outcome, TrialResult) or outcome.stop_requested):
                     return False
         except KeyboardInterrupt:  # a second one
-            if spread.is_here:
+            if executor.is_here:
                 raise
             return False
         return not search.is_stopping and not search.left
@@ -269,7 +270,8 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
     if reason is not None and record.objective != "solved":
         return TrialResult("failed", reason=reason, stop_requested=stop_requested)
     try:
-        _evaluate(group, permissions)
+        for path in group.runs_with_model:
+            evaluate_once(path, permissions)
     except KeyboardInterrupt:
         return TrialResult("running", stop_requested=True)
     except StorageError:
@@ -278,16 +280,6 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
         return TrialResult("failed", reason=error.full_message, stop_requested=stop_requested)
     follower.finish()
     return TrialResult("complete", tuple(_seed_score(study, group, follower.solved, seed) for seed in record.seeds), None, stop_requested)
-
-
-def _evaluate(group: Group, permissions: Permissions) -> None:
-    """Evaluate and keep the evaluation of each run that has a model and none yet."""
-    from deepbots_cli.learning.evaluation import evaluate  # which imports torch
-
-    for path in group.runs_with_model:
-        run = Run.open(path)
-        if quoted_evaluation(path, run.record) is None:
-            run.write_evaluation(to_json(evaluate(run, permissions=permissions)))
 
 
 def _seed_score(study: Study, group: Group, solved: Solved | None, seed: int) -> SeedScore:

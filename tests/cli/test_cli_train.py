@@ -22,7 +22,8 @@ from xml.etree import ElementTree
 import pytest
 
 from deepbots_cli.cli import main
-from deepbots_cli.cli.commands.train import _page
+from deepbots_cli.cli.command import without_old_spelling
+from deepbots_cli.cli.training_page import training_page
 from deepbots_cli.document import Permissions
 from deepbots_cli.insight.diagnosis import causes_after
 from deepbots_cli.learning.run import RunRecord
@@ -78,7 +79,7 @@ def test_train_runs_and_inspect_name_the_step_of_the_best_model_and_what_chose_i
 def test_a_solved_task_is_to_be_seen_and_used_and_not_trained_twice_as_long(deepbots):
     ran = deepbots(*TINY, "--run", "mine", "--set", "solved=mean_return >= 1 over 4 episodes")
     assert ran.err.split("next:")[1].split("\n")[1:4] == ["  deepbots view mine", "  deepbots report mine", "  deepbots export mine"]
-    assert "--resume" not in ran.err
+    assert "deepbots resume" not in ran.err
 
 
 def test_a_training_that_ends_unsolved_names_the_first_cause_and_one_command(deepbots, tmp_path, monkeypatch):
@@ -112,7 +113,7 @@ def test_a_training_that_ends_unsolved_without_a_cause_names_where_to_look(deepb
 def test_the_next_commands_can_be_pasted_though_the_path_has_blanks(deepbots, tmp_path):
     ran = deepbots(*TINY, "--run", "my läufe/a b")
     assert "deepbots render 'my läufe/a b' -o 'a b.mp4'" in ran.err
-    assert "--resume 'my läufe/a b'" in ran.err
+    assert "deepbots resume 'my läufe/a b'" in ran.err
     assert "--logdir 'my läufe/a b/tensorboard'" in ran.err
     assert "deepbots lint 'to change/cartpole.yaml'" in deepbots("new", "cartpole", "to change", "--from", "cartpole").err
     assert "cd 'to edit' &&" in deepbots("compile", "cartpole", "--project", "to edit").err
@@ -126,7 +127,7 @@ def test_a_run_is_never_overwritten(deepbots, trained):
 
 def test_the_address_of_the_page_of_a_training_is_shown_once_it_can_be_opened(trained, tmp_path, capfd):
     pytest.importorskip("viser")
-    with _page(wanted=True, permissions=Permissions()) as show_page:
+    with training_page(wanted=True, permissions=Permissions()) as show_page:
         show_page(tmp_path / "mine")
         found, end = None, time.monotonic() + 120
         while found is None and time.monotonic() < end:
@@ -141,7 +142,7 @@ def test_the_page_of_a_training_does_not_run_a_typer_py_of_the_working_directory
     pytest.importorskip("viser")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "typer.py").write_text("open(__file__ + '.ran', 'w').close()\n")
-    with _page(wanted=True, permissions=Permissions()) as show_page:
+    with training_page(wanted=True, permissions=Permissions()) as show_page:
         show_page(tmp_path / "missing")
         found, end = "", time.monotonic() + 60
         while "missing" not in found and time.monotonic() < end:
@@ -158,7 +159,7 @@ def test_a_trained_run_can_be_evaluated_listed_filmed_and_gone_on_with(deepbots,
     assert deepbots("eval", "mine", "--episodes", "1", "--last").code == 0
     assert deepbots("render", "mine", "--last", "-o", "out.mp4").code == 0
     assert (tmp_path / "out.mp4").stat().st_size > 1000
-    resumed = json.loads(deepbots("train", "--resume", "mine", "--timesteps", "400", "--quiet", "--json").out)
+    resumed = json.loads(deepbots("resume", "mine", "--timesteps", "400", "--quiet", "--json").out)
     assert resumed["training"]["steps"] >= 400
     assert resumed["evaluation"]["episodes"] == 4
     (row,) = json.loads(deepbots("runs", ".", "--json").out)
@@ -285,7 +286,7 @@ def test_a_group_is_trained_listed_evaluated_and_compared_as_one(deepbots):
     shutil.copytree(group, "runs/other")
     ran = deepbots("compare", group, "runs/other", "--episodes", "2")
     assert "other: no significant difference from cartpole-seeds-1" in ran.out
-    again = json.loads(deepbots("train", "--resume", group, "--json").out)
+    again = json.loads(deepbots("resume", group, "--json").out)
     assert again["training"]["skipped"] == [0, 2]
 
 
@@ -480,9 +481,9 @@ def test_warnings_about_another_scenario_are_mentioned_with_a_command_that_can_b
 
 @pytest.mark.parametrize("words", [["cartpole"], ["--seed", "1"], ["--set", "a=1"], ["--run", "x"], ["--engine", "exact"]])
 def test_a_resumed_run_takes_no_other_scenario(deepbots, words):
-    ran = deepbots("train", "--resume", "mine", *words)
+    ran = deepbots("resume", "mine", *words)
     assert ran.code == 2
-    assert "continues with the scenario and options of the run" in ran.err
+    assert "Usage: deepbots resume" in ran.err
 
 
 def test_there_must_be_something_to_train(deepbots):
@@ -546,7 +547,22 @@ def test_a_terminated_evaluation_ends_like_ctrl_c(trained, tmp_path):
 def test_ctrl_c_keeps_what_was_learned_and_says_how_to_go_on(interrupted):
     folder, ran = interrupted
     assert ran.code == 130, ran.err
-    assert "deepbots train --resume mine" in ran.out
+    assert "deepbots resume mine" in ran.out
     assert "Traceback" not in ran.err
     assert (folder / "mine" / "models" / "agent" / "last.zip").exists()
     assert json.loads((folder / "mine" / "run.json").read_text())["status"] == "interrupted"
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (["train", "--resume", "mine", "--timesteps", "9"], ["resume", "mine", "--timesteps", "9"]),
+        (["train", "--quiet", "--resume=mine"], ["resume", "mine", "--quiet"]),
+        (["tune", "--resume", "study", "--apply", "a.yaml", "-q"], ["apply", "study", "a.yaml"]),
+        (["train", "cartpole"], ["train", "cartpole"]),
+    ],
+)
+def test_the_spelling_of_the_version_before_is_understood_and_named(deepbots, old, new):
+    said = deepbots(*old[:1], *old[1:]).err if old != new else ""
+    assert without_old_spelling(old) == new
+    assert said.count(f"is now `deepbots {new[0]}`") == (old != new)

@@ -19,8 +19,7 @@ from deepbots_cli.cli import main, processes
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning import train_group
-from deepbots_cli.learning.shards import THIS_PROCESS
-from deepbots_cli.learning.spread import Watcher, results
+from deepbots_cli.learning.executor import SERIAL, Watcher, results
 from tests.cluster.calls import imported, lose, priority, square
 
 
@@ -64,7 +63,7 @@ def test_a_lost_call_is_repeated_up_to_three_times(either: Cluster) -> None:
 @pytest.mark.slow
 def test_workers_give_the_same_as_this_process_also_after_one_was_lost(either: Cluster, tmp_path: Path) -> None:
     kill = At(400, lambda: os.kill(workers()[0], signal.SIGKILL))
-    assert trained("PPO", tmp_path / "workers", either, progress=kill) == trained("PPO", tmp_path / "here", THIS_PROCESS)
+    assert trained("PPO", tmp_path / "workers", either, progress=kill) == trained("PPO", tmp_path / "here", SERIAL)
     assert any("was lost; its shards continue" in note for note in kill.notes)
     assert (tmp_path / "workers" / "workers" / "0.log").is_file()
     assert not workers()  # they end with the training
@@ -77,7 +76,7 @@ SCRIPT = """
 import os, signal
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a test in the background ignores it
 from deepbots_cli.cluster import Cluster
-from deepbots_cli.learning.spread import Watcher
+from deepbots_cli.learning.executor import Watcher
 from tests.cluster.calls import sleep
 
 class Printer(Watcher):
@@ -139,9 +138,8 @@ def test_workers_have_our_priority(cluster: Cluster) -> None:
 
 def test_more_workers_than_cores_are_noted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(processes, "available_cores", lambda: 1)
-    with processes.cluster(2, None, quiet=False) as found:
-        assert found is not None
-        assert found.workers == 2
+    with processes.executor(2, None) as executor:
+        assert executor.workers == 2
     assert capsys.readouterr().err == "2 workers share 1 core; more workers than cores are not faster\n"
 
 
@@ -150,7 +148,7 @@ def test_a_killed_worker_is_replaced_and_its_training_has_the_same_weights(
 ) -> None:
     compiled = api.compile("cartpole", overrides=["train.n_steps=64"])
     killed = act_at(monkeypatch, 100, 1, lambda: os.kill(workers()[0], signal.SIGKILL))
-    found = train_group(compiled, (0, 1), group=tmp_path / "killed", total_timesteps=600, progress=True, spread=cluster)
+    found = train_group(compiled, (0, 1), group=tmp_path / "killed", total_timesteps=600, progress=True, executor=cluster)
     train_group(compiled, (0, 1), group=tmp_path / "here", total_timesteps=600)
     assert len(killed) == 1
     assert not found.failed

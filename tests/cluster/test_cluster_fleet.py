@@ -21,10 +21,10 @@ from deepbots_cli.cli import main
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning import evaluate, evaluate_group, resume_group, scaling, train_group
+from deepbots_cli.learning.executor import SERIAL
 from deepbots_cli.learning.group import GroupTraining
 from deepbots_cli.learning.report import GroupProgressReporter, TrainingProgress, to_json
 from deepbots_cli.learning.run import TrainingResult
-from deepbots_cli.learning.spread import ONE_BY_ONE
 
 SEEDS = (0, 1, 2)
 
@@ -42,7 +42,7 @@ def outcomes(group: Path) -> list[Any]:
 @pytest.mark.slow
 def test_trainings_on_workers_give_the_same(cluster: Cluster, scenario: Compiled, tmp_path: Path) -> None:
     train_group(scenario, SEEDS[:2], group=tmp_path / "here", total_timesteps=800)
-    found = train_group(scenario, SEEDS[:2], group=tmp_path / "workers", total_timesteps=800, spread=cluster)
+    found = train_group(scenario, SEEDS[:2], group=tmp_path / "workers", total_timesteps=800, executor=cluster)
     assert [result.run.name for result in found.trained] == ["seed-0", "seed-1"]
     assert outcomes(tmp_path / "workers") == outcomes(tmp_path / "here")
     assert sorted(path.name for path in (tmp_path / "workers").iterdir()) == sorted(path.name for path in (tmp_path / "here").iterdir())
@@ -85,7 +85,7 @@ def test_trainings_whose_workers_were_killed_give_the_same(
     cluster: Cluster, scenario: Compiled, trained_here: GroupTraining, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     killed = act_at(monkeypatch, 1_000, 4, lambda: os.kill(workers()[0], signal.SIGKILL))
-    found = train_group(scenario, SEEDS, group=tmp_path / "killed", total_timesteps=6_000, progress=True, spread=cluster)
+    found = train_group(scenario, SEEDS, group=tmp_path / "killed", total_timesteps=6_000, progress=True, executor=cluster)
     assert len(killed) == 4
     assert not found.failed
     assert outcomes(tmp_path / "killed") == outcomes(trained_here.group)
@@ -101,12 +101,12 @@ def test_ctrl_c_stops_all_trainings_after_their_rollouts(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     asked = act_at(monkeypatch, 1_000, 1, lambda: os.kill(os.getpid(), signal.SIGINT))
-    stopped = train_group(scenario, SEEDS, group=tmp_path / "stopped", total_timesteps=6_000, progress=True, spread=cluster)
+    stopped = train_group(scenario, SEEDS, group=tmp_path / "stopped", total_timesteps=6_000, progress=True, executor=cluster)
     assert len(asked) == 1
     assert {result.status for result in stopped.trained} == {"interrupted"}
     assert stopped.waiting == SEEDS
-    assert capfd.readouterr().err.count("continue with: deepbots train --resume") == 1
-    assert resume_group(tmp_path / "stopped", spread=cluster).waiting == ()
+    assert capfd.readouterr().err.count("continue with: deepbots resume") == 1
+    assert resume_group(tmp_path / "stopped", executor=cluster).waiting == ()
     assert outcomes(tmp_path / "stopped") == outcomes(trained_here.group)
 
 
@@ -117,7 +117,7 @@ def test_a_second_ctrl_c_ends_them_at_once(cluster: Cluster, scenario: Compiled,
         os.kill(os.getpid(), signal.SIGINT)
 
     act_at(monkeypatch, 200, 1, twice)
-    stopped = train_group(scenario, SEEDS, group=tmp_path / "group", total_timesteps=600_000, progress=True, spread=cluster)
+    stopped = train_group(scenario, SEEDS, group=tmp_path / "group", total_timesteps=600_000, progress=True, executor=cluster)
     assert (stopped.trained, stopped.waiting) == ((), SEEDS)
     deadline = time.monotonic() + 20
     while workers() and time.monotonic() < deadline:
@@ -129,7 +129,7 @@ def test_a_second_ctrl_c_ends_them_at_once(cluster: Cluster, scenario: Compiled,
 def test_evaluations_on_workers_are_the_same_and_stop_at_the_same_episode(cluster: Cluster, trained_here: GroupTraining) -> None:
     for until, episodes in ((None, [6, 6, 6]), (lambda done: len(done) >= 8, [6, 2])):
         here, workers = (
-            evaluate_group(trained_here.group, episodes=6, until=until, spread=spread).evaluations for spread in (ONE_BY_ONE, cluster)
+            evaluate_group(trained_here.group, episodes=6, until=until, executor=executor).evaluations for executor in (SERIAL, cluster)
         )
         assert [result.episodes for result in workers] == episodes
         assert [to_json(each) for each in workers] == [to_json(each) for each in here]
@@ -142,7 +142,7 @@ def test_the_episodes_of_an_evaluation_on_workers_are_the_same(
 ) -> None:
     run, shown = trained_here.group / "seed-0", [0]
     here = evaluate(run, episodes=21, **options)
-    workers = evaluate(run, episodes=21, spread=cluster, on_episode=lambda done, of: shown.append(done), **options)
+    workers = evaluate(run, episodes=21, executor=cluster, on_episode=lambda done, of: shown.append(done), **options)
     assert to_json(workers) == to_json(here)
     assert shown == sorted(set(shown))
 
@@ -239,7 +239,7 @@ def test_without_a_terminal_each_training_has_a_line_at_its_end() -> None:
     assert stream.getvalue().splitlines() == [
         "note: the worker of seed 8 was lost; another one resumes the training",
         "seed 7  finished  steps 6,144 of 6,000  episodes 146  return 42.2",
-        "stopping after these rollouts; continue with: deepbots train --resume runs/group",
+        "stopping after these rollouts; continue with: deepbots resume runs/group",
     ]
 
 

@@ -24,8 +24,7 @@ from test_cluster_shards import CASES, outcome, trained
 
 from deepbots_cli import api
 from deepbots_cli.learning import train_group
-from deepbots_cli.learning.shards import THIS_PROCESS
-from deepbots_cli.learning.spread import ONE_BY_ONE
+from deepbots_cli.learning.executor import SERIAL
 from tests.cluster.hasty import HastyCluster
 from tests.cluster.nodes import cluster_of_nodes
 
@@ -97,7 +96,7 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Any]:
     @cache
     def of(kind: str) -> Any:
         folder = tmp_path_factory.mktemp("here") / "run"
-        return train(kind, folder, THIS_PROCESS if kind != "group" else ONE_BY_ONE)
+        return train(kind, folder, SERIAL)
 
     return of
 
@@ -106,7 +105,7 @@ def train(kind: str, folder: Path, place: Any) -> Any:
     if kind != "group":
         return trained(kind, folder, place)
     scenario, changes, steps = GROUP
-    found = train_group(api.compile(scenario, overrides=changes), SEEDS, group=folder, total_timesteps=steps, spread=place)
+    found = train_group(api.compile(scenario, overrides=changes), SEEDS, group=folder, total_timesteps=steps, executor=place)
     assert not found.failed
     return outcomes(folder)
 
@@ -305,7 +304,7 @@ def test_a_driver_or_a_head_that_is_killed_loses_nothing(number: int, seen: Proc
         ), printed
         assert "Traceback" not in printed
     if not is_ended or kind != "group":
-        resumed = begun(["train", "--resume", str(folder), "--quiet", "--workers", "2"])
+        resumed = begun(["resume", str(folder), "--quiet", "--workers", "2"])
         seen.below(os.getpid())
         _, printed = resumed.communicate(timeout=300)
         assert resumed.returncode == 0 or "is complete" in printed, printed

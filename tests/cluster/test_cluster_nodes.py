@@ -19,8 +19,7 @@ from deepbots_cli import api
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import resume, train_group
-from deepbots_cli.learning.shards import THIS_PROCESS
-from deepbots_cli.learning.spread import Watcher
+from deepbots_cli.learning.executor import SERIAL, Watcher
 from tests.cluster.calls import square
 from tests.cluster.nodes import cluster_of_nodes
 
@@ -58,7 +57,7 @@ def test_a_node_that_is_lost_and_one_that_joins_change_nothing(nodes: Any, tmp_p
     with Cluster(address=nodes.address) as cluster:
         found = trained(name, tmp_path / "nodes", cluster, progress=events)
     assert events.is_done
-    assert found == trained(name, tmp_path / "here", THIS_PROCESS)
+    assert found == trained(name, tmp_path / "here", SERIAL)
 
 
 @pytest.mark.slow
@@ -68,7 +67,7 @@ def test_a_training_that_stops_on_a_cluster_goes_on_in_this_process(nodes: Any, 
     with Cluster(address=nodes.address) as cluster:
         trained("PPO", tmp_path / "run", cluster, progress=stop)
     resume(tmp_path / "run")
-    assert outcome(tmp_path / "run") == trained("PPO", tmp_path / "here", THIS_PROCESS)
+    assert outcome(tmp_path / "run") == trained("PPO", tmp_path / "here", SERIAL)
 
 
 @pytest.mark.slow
@@ -106,7 +105,7 @@ def test_trainings_go_on_when_a_node_is_lost_and_one_joins(nodes: Any, tmp_path:
 
     replaced = act_at(monkeypatch, 1_000, 1, replace_a_node)
     with Cluster(address=nodes.address) as cluster:
-        found = train_group(compiled, (0, 1, 2), group=tmp_path / "nodes", total_timesteps=4_000, progress=True, spread=cluster)
+        found = train_group(compiled, (0, 1, 2), group=tmp_path / "nodes", total_timesteps=4_000, progress=True, executor=cluster)
     assert replaced
     assert not found.failed
     train_group(compiled, (0, 1, 2), group=tmp_path / "here", total_timesteps=4_000)

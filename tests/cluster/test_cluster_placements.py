@@ -12,7 +12,7 @@ from test_cluster_shards import CASES, trained
 
 from deepbots_cli import api
 from deepbots_cli.cluster import Cluster
-from deepbots_cli.learning.shards import THIS_PROCESS
+from deepbots_cli.learning.executor import SERIAL
 from tests.cluster.nodes import cluster_of_nodes
 
 NODES = {"one node": (2,), "two nodes": (1, 1)}
@@ -20,8 +20,8 @@ NODES = {"one node": (2,), "two nodes": (1, 1)}
 
 
 @pytest.fixture(scope="module", params=["workers", *NODES])
-def placement(request: pytest.FixtureRequest) -> Iterator[Cluster]:
-    """The workers for all cases of a placement."""
+def executor(request: pytest.FixtureRequest) -> Iterator[Cluster]:
+    """The workers for all cases of a executor."""
     if request.param == "workers":
         with Cluster(workers=2) as found:
             yield found
@@ -41,13 +41,13 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], Any]:
 
     @cache
     def of(name: str, shards: int) -> Any:
-        return trained(name, tmp_path_factory.mktemp("here") / "run", THIS_PROCESS, shards)
+        return trained(name, tmp_path_factory.mktemp("here") / "run", SERIAL, shards)
 
     return of
 
 
-def check(placement: Cluster, here: Callable[[str, int], Any], folder: Path, name: str, shards: int) -> None:
-    found = result, episodes, evaluations = trained(name, folder / "run", placement, shards)
+def check(executor: Cluster, here: Callable[[str, int], Any], folder: Path, name: str, shards: int) -> None:
+    found = result, episodes, evaluations = trained(name, folder / "run", executor, shards)
     assert found == here(name, shards)
     assert len(episodes) >= 20
     assert evaluations
@@ -58,16 +58,16 @@ def check(placement: Cluster, here: Callable[[str, int], Any], folder: Path, nam
 @pytest.mark.parametrize("shards", [2, 4])
 @pytest.mark.parametrize("name", list(CASES)[:5])
 def test_a_training_is_the_same_on_workers_and_nodes(
-    placement: Cluster, here: Callable[[str, int], Any], tmp_path: Path, name: str, shards: int
+    executor: Cluster, here: Callable[[str, int], Any], tmp_path: Path, name: str, shards: int
 ) -> None:
-    check(placement, here, tmp_path, name, shards)
+    check(executor, here, tmp_path, name, shards)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("placement", ["workers"], indirect=True)
+@pytest.mark.parametrize("executor", ["workers"], indirect=True)
 @pytest.mark.parametrize("name", list(CASES)[5:])
-def test_so_is_that_of_other_algorithms(placement: Cluster, here: Callable[[str, int], Any], tmp_path: Path, name: str) -> None:
-    check(placement, here, tmp_path, name, 4)
+def test_so_is_that_of_other_algorithms(executor: Cluster, here: Callable[[str, int], Any], tmp_path: Path, name: str) -> None:
+    check(executor, here, tmp_path, name, 4)
 
 
 @pytest.mark.parametrize("scenario", ["cartpole", "pit_escape"])

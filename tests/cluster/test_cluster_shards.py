@@ -17,9 +17,9 @@ from deepbots_cli.cluster import Cluster
 from deepbots_cli.cluster.local_processes import LocalProcesses, Owed, Worker
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import resume, train
+from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
-from deepbots_cli.learning.shards import THIS_PROCESS, Placement
 
 TIMES = ("cpu_seconds", "wall_seconds", "solved_at")
 SOON = "solved=mean_return >= 1000 over 5 episodes"
@@ -62,10 +62,10 @@ def outcome(folder: Path) -> tuple[Any, ...]:
     return result, rows, log.read_text() if log.exists() else ""
 
 
-def trained(name: str, folder: Path, placement: Placement, shards: int = 2, progress: Reporter | bool = False) -> tuple[Any, ...]:
+def trained(name: str, folder: Path, executor: Executor, shards: int = 2, progress: Reporter | bool = False) -> tuple[Any, ...]:
     scenario, changes, steps = CASES[name]
     compiled = api.compile(scenario, overrides=[*changes, f"train.shards={shards}"])
-    train(compiled, run=folder, total_timesteps=steps, placement=placement, progress=progress)
+    train(compiled, run=folder, total_timesteps=steps, executor=executor, progress=progress)
     return outcome(folder)
 
 
@@ -108,7 +108,7 @@ def test_a_worker_with_another_scenario_is_refused(cluster: Cluster, tmp_path: P
 @pytest.mark.slow
 def test_workers_with_several_shards_give_the_same(cluster: Cluster, tmp_path: Path) -> None:
     kill = At(400, lambda: os.kill(workers()[0], signal.SIGKILL))
-    assert trained("PPO", tmp_path / "workers", cluster, 4, kill) == trained("PPO", tmp_path / "here", THIS_PROCESS, 4)
+    assert trained("PPO", tmp_path / "workers", cluster, 4, kill) == trained("PPO", tmp_path / "here", SERIAL, 4)
     assert kill.notes
 
 
@@ -128,8 +128,8 @@ def test_an_episode_that_always_kills_its_worker_ends_the_training(tmp_path: Pat
     processes = DeadlyProcesses(2)
     kill = At(400, lambda: setattr(processes, "is_deadly", True))
     with Cluster(workers=2) as cluster, processes:
-        cluster._executor = processes
+        cluster._pool = processes
         with pytest.raises(RunError, match="ended its worker 3 times in the steps after"):
             trained("PPO", tmp_path / "run", cluster, progress=kill)
     resume(tmp_path / "run")
-    assert outcome(tmp_path / "run") == trained("PPO", tmp_path / "here", THIS_PROCESS)
+    assert outcome(tmp_path / "run") == trained("PPO", tmp_path / "here", SERIAL)

@@ -248,7 +248,7 @@ def test_a_training_that_stopped_by_luck_is_continued_to_its_planned_steps(carri
     )  # fmt: skip
     (found,) = diagnose(replace(training, verdict=RunVerdict(False, evaluation)))
     assert (found.cause, found.settings) == ("stopped_early", {"train.total_timesteps": "48_000"})
-    assert found.command == f"deepbots train --resume {carriage} --timesteps 48_000"
+    assert found.command == f"deepbots resume {carriage} --timesteps 48_000"
     assert "success rate 87.0% (95 % interval 79.0% .. 92.0%)" in found.text
     assert diagnose(replace(training, verdict=RunVerdict(True, evaluation))) == []
 
@@ -335,12 +335,12 @@ def test_a_training_that_runs_is_not_told_to_resume(carriage, tmp_path, capsys):
         assert main(["diagnose", str(run), "--only-logs"]) == 0
     text = capsys.readouterr().out
     assert "it still runs" in text
-    assert "--resume" not in text
+    assert "deepbots resume" not in text
     rising = returns_of(np.zeros(100), 0, 5)
     training = replace(with_logs(carriage, rising, np.full(100, 60)), is_running=True)
     assert [each.advice for each in diagnose(training)] == ["Let it run: 6,000 of 128 steps have been made."]
     assert main(["diagnose", str(run), "--only-logs"]) == 0
-    assert "--resume" in capsys.readouterr().out
+    assert "deepbots resume" in capsys.readouterr().out
 
 
 def test_a_run_whose_last_evaluation_misses_the_criterion_is_not_told_to_be_solved(tmp_path, capsys):

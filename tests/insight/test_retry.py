@@ -125,7 +125,7 @@ def test_the_list_shows_the_best_attempt_and_statistics_over_attempts_are_refuse
     assert group.runs[1].settings == ("train.learning_rate=0.003",)
     with pytest.raises(RunError, match=f"different values.*name one of them, such as .*try-{best}"):
         evaluate_group(retried)
-    with pytest.raises(UsageError, match="train --resume"):
+    with pytest.raises(UsageError, match="resume"):
         resume_group(retried)
 
 
@@ -135,7 +135,7 @@ def test_the_values_of_the_best_attempt_are_written_only_on_request(retried, tmp
     Path("mine.yaml").write_text(SCENARIO)
     record = json.loads(Path("group/group.json").read_text())
     values = record["attempts"][Group.open("group").best_attempt - 1]["settings"]
-    assert main(["train", "--resume", "group", "--apply", "mine.yaml", "--json"]) == 0
+    assert main(["apply", "group", "mine.yaml", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["values"] == values
     written = Path("mine.yaml").read_text()
     assert f"learning_rate: 0.003  # a guess  # set by group, try-{Group.open('group').best_attempt}" in written
@@ -145,20 +145,20 @@ def test_the_values_of_the_best_attempt_are_written_only_on_request(retried, tmp
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["cartpole", "--retry", "2", "--seeds", "0..2"], "leave out --seeds"),
-        (["cartpole", "--retry", "2", "--view"], "leave out --view"),
-        (["cartpole", "--apply"], "name it with --resume GROUP"),
-        (["--resume", "GROUP", "--timesteps", "9k"], "only these can be added: --retry"),
-        (["--resume", "GROUP/try-1", "--retry", "2"], "was not trained with --retry"),
-        (["open.yaml", "--retry", "2"], "does not say when it is solved"),
+        (["train", "cartpole", "--retry", "2", "--seeds", "0..2"], "leave out --seeds"),
+        (["train", "cartpole", "--retry", "2", "--view"], "leave out --view"),
+        (["train", "open.yaml", "--retry", "2"], "does not say when it is solved"),
+        (["resume", "GROUP", "--timesteps", "9k"], "--timesteps does not go with a group of `train --retry`; it takes: --retry"),
+        (["resume", "GROUP/try-1", "--retry", "2"], "--retry does not go with a run; it takes: --timesteps"),
+        (["apply", "GROUP/try-1"], "is a run, and not a group of runs or a study"),
     ],
 )
 def test_options_that_do_not_fit_are_refused_in_one_sentence(retried, tmp_path, monkeypatch, capsys, words, message):
     monkeypatch.chdir(tmp_path)
     (retried.parent / "open.yaml").write_text("deepbots: 1\nextends: cartpole\nname: Open\nremove: [solved]\n")
     words = [word.replace("GROUP", str(retried)).replace("open.yaml", str(retried.parent / "open.yaml")) for word in words]
-    monkeypatch.setattr(sys, "argv", ["deepbots", "train", *words])
-    assert main(["train", "-q", *words]) == 2
+    monkeypatch.setattr(sys, "argv", ["deepbots", *words])
+    assert main(words) == 2
     assert message in capsys.readouterr().err.splitlines()[-1]
     assert list(tmp_path.iterdir()) == []
 

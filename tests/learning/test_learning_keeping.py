@@ -135,7 +135,7 @@ def test_no_model_is_kept_while_a_training_is_at_work(run: Run) -> None:
         keep(ModelRef(run), build=stand_in.build)
     record = json.loads((run.path / "run.json").read_text())
     (run.path / "run.json").write_text(json.dumps(record | {"status": "running", "result": None}))
-    with pytest.raises(UsageError, match="has not ended; continue it with: deepbots train --resume"):
+    with pytest.raises(UsageError, match="has not ended; continue it with: deepbots resume"):
         keep(ModelRef.open(run.path), build=stand_in.build)
     assert stand_in.tree_digest(run.path / "models") == digest
 

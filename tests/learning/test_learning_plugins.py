@@ -104,7 +104,7 @@ def test_one_that_fails_is_named_and_the_training_can_go_on(tmp_path: Path, name
         short(tmp_path / "run", **names)
     if "odd" not in sentence:
         assert "the last checkpoint" in caught.value.full_message
-        assert f"deepbots train --resume {tmp_path / 'run'}" in caught.value.full_message
+        assert f"deepbots resume {tmp_path / 'run'}" in caught.value.full_message
     assert RunRecord.read(tmp_path / "run").status == "failed"
 
 

@@ -391,7 +391,7 @@ def test_a_folder_that_cannot_be_written_leaves_the_last_good_state(tmp_path: Pa
     (run / "models" / "agent" / "last.zip").mkdir()
     with pytest.raises(RunError, match=r"cannot be written.*") as caught:
         resume(run, total_timesteps=400, build=stand_in.build)
-    assert f"is kept; continue from there with: deepbots train --resume {run}" in caught.value.full_message
+    assert f"is kept; continue from there with: deepbots resume {run}" in caught.value.full_message
     assert checkpoints.latest_checkpoint(Run.open(run)) == before
     assert evaluate(run, episodes=1, build=stand_in.build).episodes == 1
 
@@ -424,7 +424,7 @@ def test_a_training_without_room_for_a_checkpoint_keeps_the_last_one_and_becomes
     cut = shutil.copytree(whole, tmp_path / "cut")
     with files_of_at_most(8_000), pytest.raises(UsageError, match=r"cannot be written: file too large") as caught:
         resume(cut, total_timesteps=400, build=stand_in.build)
-    assert f"is kept; continue from there with: deepbots train --resume {cut}" in caught.value.full_message
+    assert f"is kept; continue from there with: deepbots resume {cut}" in caught.value.full_message
     for run in (whole, cut):
         resume(run, total_timesteps=400, build=stand_in.build)
     for part in ("models", "monitor", "scalars"):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from deepbots_cli.learning.executor import SERIAL
 from deepbots_cli.learning.scaling import ShardTiming, candidates, choose, described, measure
 
 TIMING = ShardTiming(1, 0, 1000.0, 1.0, 1.0, 0.1, 700.0, 100.0, 0.0, 0.0, 200.0)
@@ -18,7 +19,7 @@ def timings(*rates: float) -> list[ShardTiming]:
 
 @pytest.mark.parametrize("changes", [["train.n_steps=16"], ["train={algorithm: DQN, total_timesteps: 1000, environments: 2}"]])
 def test_the_parts_of_the_time_add_up_and_nothing_is_left(tmp_path: Path, changes: list[str]) -> None:
-    found = measure("cartpole", [1, 2], None, overrides=changes, folder=tmp_path, seconds=0.2)
+    found = measure("cartpole", [1, 2], SERIAL, overrides=changes, folder=tmp_path, seconds=0.2)
     assert [timing.shards for timing in found] == [1, 2]
     for timing in found:
         parts = timing.worlds_us + timing.policy_us + timing.transfer_us + timing.waiting_us + timing.update_us

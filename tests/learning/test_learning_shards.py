@@ -14,8 +14,9 @@ from test_learning_resume import CASES, build_of, outcome
 
 from deepbots_cli.learning import train
 from deepbots_cli.learning.environments import WorldFactory
+from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.run import Run
-from deepbots_cli.learning.shards import THIS_PROCESS, LocalShards, Placement, Shard, world_numbers
+from deepbots_cli.learning.shards import LocalShards, Shard, world_numbers
 from deepbots_cli.program.task import Solved, Training
 from deepbots_cli.rollout.collector import Harvest, Order, RunningEpisode, ShardPool
 from deepbots_cli.rollout.worlds import Array
@@ -42,7 +43,7 @@ class Forgetful:
         return pool
 
 
-def trained(name: str, folder: Path, placement: Placement, shards: int = 2, staleness: int = 0) -> dict[str, Any]:
+def trained(name: str, folder: Path, executor: Executor, shards: int = 2, staleness: int = 0) -> dict[str, Any]:
     settings = {"solved": Solved(30, mean_return=190.0)} | CASES[name]
     training: Training = settings["training"]
     total = min(training.total_timesteps, 600)
@@ -53,24 +54,24 @@ def trained(name: str, folder: Path, placement: Placement, shards: int = 2, stal
     found = compiled.program.agent.training
     assert found is not None
     assert (found.shards, found.staleness) == (shards, staleness)
-    train(compiled, run=folder, build=build_of(name), placement=placement)
+    train(compiled, run=folder, build=build_of(name), executor=executor)
     return outcome(folder)
 
 
 @pytest.mark.parametrize("name", few(ALGORITHMS, ["TD3"]))
 def test_shards_that_are_lost_with_every_fragment_give_the_same(tmp_path: Path, name: str) -> None:
-    kept, lost = trained(name, tmp_path / "kept", THIS_PROCESS), trained(name, tmp_path / "lost", Forgetful())
+    kept, lost = trained(name, tmp_path / "kept", SERIAL), trained(name, tmp_path / "lost", Forgetful())
     for part in kept:
         assert lost[part] == kept[part], part
 
 
 @pytest.mark.parametrize("name", few(ALGORITHMS, ["curriculum"]))
 def test_with_older_weights_too(tmp_path: Path, name: str) -> None:
-    kept = trained(name, tmp_path / "kept", THIS_PROCESS, staleness=1)
+    kept = trained(name, tmp_path / "kept", SERIAL, staleness=1)
     lost = trained(name, tmp_path / "lost", Forgetful(), staleness=1)
     for part in kept:
         assert lost[part] == kept[part], part
-    assert kept["models"] != trained(name, tmp_path / "newest", THIS_PROCESS)["models"]
+    assert kept["models"] != trained(name, tmp_path / "newest", SERIAL)["models"]
 
 
 def test_the_first_shards_have_one_world_more_if_the_sizes_differ() -> None:

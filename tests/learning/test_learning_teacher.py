@@ -21,10 +21,10 @@ from deepbots_cli import api
 from deepbots_cli.analysis import unobserved_reads
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import evaluate, resume, train
+from deepbots_cli.learning.executor import SERIAL
 from deepbots_cli.learning.listing import read_listed
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.sb3.imitation import keep_labels, labeled
-from deepbots_cli.learning.shards import THIS_PROCESS
 from deepbots_cli.learning.teacher import Teaching
 from deepbots_cli.program.task import Teacher
 from deepbots_cli.view.episodes import Player, Showing
@@ -86,8 +86,8 @@ def test_an_interrupted_training_with_a_teacher_resumes_to_the_bit(tmp_path: Pat
 @pytest.mark.parametrize("name", few(CASES, ["PPO in stages"]))
 def test_shards_that_are_lost_with_every_fragment_are_taught_the_same(tmp_path: Path, name: str) -> None:
     two = ["train.shards=2"]
-    kept = trained(name, tmp_path / "kept", two, placement=THIS_PROCESS)
-    assert trained(name, tmp_path / "lost", two, placement=Forgetful()) == kept
+    kept = trained(name, tmp_path / "kept", two, executor=SERIAL)
+    assert trained(name, tmp_path / "lost", two, executor=Forgetful()) == kept
 
 
 def test_a_policy_imitates_its_teacher(tmp_path: Path) -> None:

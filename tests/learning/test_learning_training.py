@@ -188,7 +188,7 @@ def test_an_interrupted_training_keeps_what_was_learned_and_says_how_to_go_on(tm
     result = short(tmp_path, total=50_000, progress=told, build=stand_in.build)
     assert result.interrupted
     assert told.stopped
-    assert f"deepbots train --resume {result.run}" in training_text(result)
+    assert f"deepbots resume {result.run}" in training_text(result)
     assert json.loads((result.run / "run.json").read_text())["status"] == "interrupted"
     assert signal.getsignal(number) is handler
     assert evaluate(result.run, episodes=1, build=stand_in.build).episodes == 1
@@ -205,8 +205,8 @@ def test_sigterm_ends_a_training_with_the_command_that_continues_it(tmp_path: Pa
 
     result = short(tmp_path, total=50_000, progress=Terminated(), build=stand_in.build)
     assert result.interrupted
-    assert f"stopping after this rollout; continue with: deepbots train --resume {result.run}\n" in capsys.readouterr().err
-    assert f"continue the training with: deepbots train --resume {result.run}" in training_text(result)
+    assert f"stopping after this rollout; continue with: deepbots resume {result.run}\n" in capsys.readouterr().err
+    assert f"continue the training with: deepbots resume {result.run}" in training_text(result)
 
 
 class Late(Reporter):
@@ -224,7 +224,7 @@ def test_a_stop_after_the_last_step_leaves_nothing_to_resume(tmp_path: Path) -> 
     result = short(tmp_path, total=300, solved=Solved(10, mean_return=1e6), progress=Late(), build=stand_in.build)
     assert (result.status, result.stop_requested) == ("finished", True)
     assert result.steps > 300
-    assert "--resume" not in training_text(result)
+    assert "deepbots resume" not in training_text(result)
     assert f"evaluate the policy with: deepbots eval {result.run}" in training_text(result)
     with pytest.raises(UsageError, match="is complete"):
         resume(result.run, build=stand_in.build)
@@ -234,7 +234,7 @@ def test_a_stop_after_the_last_step_leaves_the_last_evaluation_to_resume(tmp_pat
     result = short(tmp_path, total=300, solved=Solved(2, mean_return=1e6), progress=Late(), build=stand_in.build)
     assert (result.status, result.stop_requested) == ("interrupted", True)
     assert result.steps > 300
-    assert f"deepbots train --resume {result.run}" in training_text(result)
+    assert f"deepbots resume {result.run}" in training_text(result)
     evaluated = [each["steps"] for each in read_evaluations(result.run)]
     again = resume(result.run, build=stand_in.build)
     assert (again.status, again.steps) == ("finished", result.steps)

@@ -283,7 +283,7 @@ def test_a_learner_of_a_plugin_is_trained_evaluated_killed_and_resumed_by_the_sa
     task.write_text(shipped[: shipped.index("train:\n")] + train)
     assert python(site, "-c", KILLED, "train", "cem.yaml", "--run", "parts", "--full", "--logger", "csv").returncode == -9
     lines = [
-        ("train", "--resume", "parts"),
+        ("resume", "parts"),
         ("train", "cem.yaml", "--run", "whole", "--full", "--logger", "csv"),
         *(("eval", name, "--last", "--json") for name in ("whole", "parts")),
         ("train", "cem.yaml", "--run", "refused", "--set", "train.normalize=reward"),

@@ -314,7 +314,7 @@ def _trained(scenario: str, training: Training, seed: int, folder: Path) -> tupl
         folder.parent.mkdir(parents=True, exist_ok=True)
         seconds = deepbots("train", scenario, "--seed", str(seed), *training.options, "--run", str(folder))[1]
     elif Run.open(folder).record.status != "finished":
-        seconds = deepbots("train", "--resume", str(folder))[1]
+        seconds = deepbots("resume", str(folder))[1]
     return Run.open(folder), seconds
 
 

@@ -25,7 +25,7 @@ SCENARIO = [
 ]
 RUN = [
     ["eval", "?"],
-    ["train", "--resume", "?"],
+    ["resume", "?"],
     ["diagnose", "?"],
     ["report", "?", "-o", "out.html"],
     ["compare", "?", "?"],
@@ -89,7 +89,7 @@ NOT_A_SOURCE = "{} is not a run, a group or a scenario: it is a folder without r
         ("broken", [*RUN[:7], *EITHER, *RENDERED], "{}/run.json is damaged: it is not valid JSON"),
         ("group", [*SCENARIO], "{} is a group of runs, and not a scenario"),
         ("group", [["export", "?", "-o", "bundle"], ["view", "?"]], "{} is a group of runs, and not a "),
-        ("run/models/agent/best.zip", [["diagnose", "?"], ["train", "--resume", "?"]], "{} is a model of a run, and not a run"),
+        ("run/models/agent/best.zip", [["diagnose", "?"], ["resume", "?"]], "{} is a model of a run, and not a run"),
         ("run/models/agent/best.zip", [RUN[0], *RUN[4:], *EITHER, *RENDERED], "run/run.json is damaged: it is not valid JSON"),
     ],
 )  # fmt: skip

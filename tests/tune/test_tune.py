@@ -81,7 +81,7 @@ def results(study: Study) -> list[object]:
 
 
 def weights(study: Study) -> list[str]:
-    runs = [run for group in study.groups for run in Group.open(group).runs]
+    runs = [run for group in study.runs for run in Group.open(group).runs]
     return [result.weights_digest for run in runs if (result := RunRecord.read(run).result) is not None]
 
 
@@ -104,7 +104,7 @@ def test_a_full_disk_ends_tune_with_an_error_and_the_trial_continues_later(
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))  # which is enough for the journal, and not for a model
     try:
-        assert main(["tune", "--resume", str(study.path), "--quiet"]) == 2
+        assert main(["resume", str(study.path), "--quiet"]) == 2
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert "cannot be written: file too large" in capsys.readouterr().err
@@ -114,7 +114,7 @@ def test_a_full_disk_ends_tune_with_an_error_and_the_trial_continues_later(
 
 
 def test_a_journal_that_is_a_pipe_is_refused_at_once(file: Path, tmp_path: Path) -> None:
-    """`tune --resume` waited for ever."""
+    """Resuming such a study waited for ever."""
     study = made(file, tmp_path / "pipe")
     (study.path / "journal.log").unlink()
     os.mkfifo(study.path / "journal.log")
@@ -137,7 +137,7 @@ def test_trials_on_workers_give_the_same_after_a_worker_was_killed(file: Path, w
 
     study = made(file, tmp_path / "workers", prune=False)
     with Cluster(workers=2) as workers:
-        assert run_study(study, reporter=Killer(), spread=workers)
+        assert run_study(study, reporter=Killer(), executor=workers)
     assert killed
     assert results(study) == results(whole)
     assert weights(study) == weights(whole)
@@ -243,7 +243,6 @@ def test_a_solved_training_scores_below_any_that_is_not_and_distance_counts() ->
         (["--param", "fall_angle=3deg"], "expected a range or choices"),
         (["--objective", "fast"], "there is no objective 'fast'"),
         (["--objective", "success_rate"], "needs a success"),
-        (["--apply"], "name it with --resume STUDY"),
     ],
 )
 def test_a_wrong_search_is_refused_in_one_sentence_before_anything_starts(
@@ -263,12 +262,12 @@ def test_apply_writes_the_best_values_with_a_comment_and_changes_nothing_else(
     target = tmp_path / "mine.yaml"
     target.write_text(SCENARIO)
     for _ in range(2):  # a second time replaces the comment
-        assert main(["tune", "--resume", str(whole.path), "--apply", str(target), "--json"]) == 0
+        assert main(["apply", str(whole.path), str(target), "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["values"] == best.values
     changed = dict(enumerate(target.read_text().splitlines()))
     old = SCENARIO.splitlines()
     assert {number for number, line in changed.items() if line != old[number]} == {3, 4}
-    note = f"  # tuned by whole, trial {best.number}"
+    note = f"  # set by whole, trial-{best.number}"
     assert changed[3] == old[3].replace("3 deg", best.values["fall_angle"]) + note
     assert changed[4] == old[4].replace("1e-3", best.values["train.learning_rate"]) + note
 
@@ -276,7 +275,7 @@ def test_apply_writes_the_best_values_with_a_comment_and_changes_nothing_else(
 def test_apply_adds_keys_that_a_file_inherits(whole: Study, tmp_path: Path) -> None:
     target = tmp_path / "mine.yaml"
     target.write_text("deepbots: 1\nextends: cartpole\nname: Mine\nparameters: {}")
-    assert main(["tune", "--resume", str(whole.path), "--apply", str(target), "-q"]) == 0
+    assert main(["apply", str(whole.path), str(target)]) == 0
     best = whole.ranked(whole.trials())[0].values
     document = Source.open(target, Permissions()).document()
     assert target.read_text().startswith("deepbots: 1\nextends: cartpole\nname: Mine\nparameters: {")
@@ -285,7 +284,7 @@ def test_apply_adds_keys_that_a_file_inherits(whole: Study, tmp_path: Path) -> N
 
 
 def test_a_shipped_scenario_is_not_changed(whole: Study, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["tune", "--resume", str(whole.path), "--apply", "cartpole"]) == 2
+    assert main(["apply", str(whole.path), "cartpole"]) == 2
     assert "comes with deepbots; copy it with `deepbots new mine --from cartpole`" in capsys.readouterr().err
 
 
@@ -319,11 +318,11 @@ def test_where_no_trial_has_a_success_the_higher_return_is_the_best_and_apply_is
     trials = [_seeds([1.5] * 3, mean_return=value) for value in (10.0, 30.0, 20.0)]
     study = _told(file, tmp_path / "study", *trials)
     assert [trial.number for trial in study.ranked(study.trials())] == [1, 2, 0]
-    assert main(["tune", "--resume", str(study.path), "-q"]) == 0
+    assert main(["resume", str(study.path), "-q"]) == 0
     text = "".join(capsys.readouterr())
     assert "best: trial 1, score 1.5; 2 other trials have this score, and the success rate, then the return chose the best one" in text
     assert "not clearly better than the values of the scenario itself (trial 0, score 1.5)" in text
-    assert "--apply" not in text
+    assert "deepbots apply" not in text
     assert "deepbots train" not in text
 
 
@@ -343,16 +342,16 @@ def test_apply_is_advised_where_the_best_trial_is_clearly_better_than_the_values
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     study = _told(file, tmp_path / "study", _seeds([0.9, 0.92, 0.88]), _seeds([0.3, 0.32, 0.28]))
-    assert main(["tune", "--resume", str(study.path), "-q"]) == 0
+    assert main(["resume", str(study.path), "-q"]) == 0
     text = "".join(capsys.readouterr())
     assert "it is clearly better than the values of the scenario itself (trial 0, score 0.9)" in text
-    assert "--apply" in text
+    assert f"deepbots apply {study.path}" in text
 
 
 def test_the_luckiest_of_many_trials_is_not_clearly_better(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scores = [[0.8, 0.9, 0.7], *([0.6, 0.95, 0.8] for _ in range(18)), [0.7, 0.6, 0.5]]
     study = _told(file, tmp_path / "study", *map(_seeds, scores))
-    assert main(["tune", "--resume", str(study.path), "-q", "--json"]) == 0
+    assert main(["resume", str(study.path), "-q", "--json"]) == 0
     over_first = json.loads(capsys.readouterr().out)["over_first"]
     assert over_first["is_clear"] is False
     assert over_first["difference"]["mean"] == pytest.approx(-0.2)
@@ -360,10 +359,10 @@ def test_the_luckiest_of_many_trials_is_not_clearly_better(file: Path, tmp_path:
 
 def test_a_trial_with_one_seed_is_never_clearly_better(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     study = _told(file, tmp_path / "study", _seeds([0.9]), _seeds([0.1]))
-    assert main(["tune", "--resume", str(study.path), "-q"]) == 0
+    assert main(["resume", str(study.path), "-q"]) == 0
     text = "".join(capsys.readouterr())
     assert "one seed does not show it" in text
-    assert "--apply" not in text
+    assert "deepbots apply" not in text
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,9 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
     "Train": {
         "train": ("train.command", "Train a policy in a new run directory, and evaluate it."),
+        "resume": ("resume.resume", "Continue a training, a group of trainings, or a study."),
         "tune": ("tune.command", "Search for better values of a scenario."),
+        "apply": ("resume.apply", "Write the best values of a search into the scenario file."),
         "eval": ("eval.command", "Evaluate the policy of a run on held-out episodes."),
         "runs": ("runs.command", "List your trainings, with their results."),
         "compare": ("compare.command", "Compare trained policies on the same start states."),
@@ -65,6 +67,8 @@ REPLACEMENTS: Mapping[str, str] = {
     "record": "deepbots render SCENARIO -o episode.mcap",
     "explain-episode": "deepbots diagnose RUN --episode K",
     "eject": "deepbots compile SCENARIO --project DIR",
+    "--resume": "deepbots resume RUN",
+    "--apply": "deepbots apply GROUP FILE",
     "--script": "--driver NAME",
     "--policy": "--driver NAME",
     "--actions": "--driver ACTION,ACTION",

@@ -194,11 +194,11 @@ def _bench_shards(
     if address is None and workers is None and max(numbers) > 1:
         workers = min(max(numbers), available_cores())
     terminal.note(f"training for about {scaling.SECONDS:.0f} s with each number of shards, after the start of their processes")
-    with processes.cluster(workers, address, quiet=False) as found, terminal.progress("measurements") as show:
+    with processes.executor(workers, address) as executor, terminal.progress("measurements") as show:
         timings = scaling.measure(
             scenario,
             numbers,
-            found,
+            executor,
             overrides=overrides,
             permissions=permissions,
             seed=seed,

@@ -68,7 +68,7 @@ def command(
         terminal.note_warnings(judged.findings, scenario)
     with terminal.transient_line("loading the policies ..."):
         compare = learning.compare  # which imports torch
-    with processes.spread(workers, address) as spread, terminal.progress(always=False) as show:
+    with processes.executor(workers, address) as executor, terminal.progress(always=False) as show:
         found = compare(
             runs,
             episodes=episodes,
@@ -79,7 +79,7 @@ def command(
             own=own,
             permissions=permissions,
             on_run=show,
-            spread=spread,
+            executor=executor,
         )
     terminal.show(_data(found), *_lines(found), as_json=as_json)
 

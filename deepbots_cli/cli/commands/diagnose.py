@@ -222,7 +222,7 @@ def _diagnose(run: Path, *, only_logs: bool, as_json: bool, permissions: Permiss
     source = Source.open(run, permissions, SourceKind.RUN, SourceKind.GROUP)
     folders = Group.open(source).runs if source.kind is SourceKind.GROUP else [run]
     if not folders:
-        raise UsageError(f"{run} is a group without a run yet; train it with: deepbots train --resume {quote(str(run))}")
+        raise UsageError(f"{run} is a group without a run yet; train it with: deepbots resume {quote(str(run))}")
     with terminal.transient_line("reading the logs ..."):
         from deepbots_cli.insight.diagnosis import diagnose as find_causes
         from deepbots_cli.insight.diagnosis import has_learned

@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
     from deepbots_cli.learning import EvaluationResult, GroupResult
     from deepbots_cli.learning.episodes import Interval
+    from deepbots_cli.learning.executor import Executor
     from deepbots_cli.learning.keeping import KeptModel
-    from deepbots_cli.learning.spread import Spread
     from deepbots_cli.learning.statistics import Verdict
     from deepbots_cli.program import Program
     from deepbots_cli.rollout import Episode
@@ -182,7 +182,7 @@ def command(
       deepbots eval runs/find_ball-0-1 --min-success 90% --junit gate.xml
 
     Next: `deepbots render RUN -o video.mp4` makes a video of episode 0, `deepbots diagnose RUN` says why a policy is not better, and
-    `deepbots train --resume RUN --timesteps N` continues the training.
+    `deepbots resume RUN --timesteps N` continues the training.
     """
     given = {name.replace("_", "-"): value for name, value in locals().items() if value is not None and value is not False}
     single = ("baselines", "details")
@@ -210,8 +210,8 @@ def command(
         chosen |= {"seed": seed or 0, "case": case, "stage": stage}
         count = len(group.runs_with_model)
         processes.check_dividable(workers, address, count, f"{run} contains {count} trained run{'' if count == 1 else 's'}")
-        with processes.spread(workers, address, count) as spread:
-            _evaluate_group(run, scenarios, gates, csv=csv, junit=junit, as_json=as_json, spread=spread, **chosen)
+        with processes.executor(workers, address, count) as executor:
+            _evaluate_group(run, scenarios, gates, csv=csv, junit=junit, as_json=as_json, executor=executor, **chosen)
         return
     ref = ModelRef.open(source, model=chosen["model"])
     kept = _kept(ref, workers, address, permissions, as_json=as_json) if keep else None
@@ -231,14 +231,14 @@ def command(
     processes.check_dividable(workers, address, parts, reason)
     found: list[_EngineEvaluations] = []
     requirements: list[Requirement] = []
-    with processes.spread(workers, address, parts) as spread:
+    with processes.executor(workers, address, parts) as executor:
         for name, judged, program, count in zip(several, compiled, programs, planned, strict=True):
             until = gates.stop_condition(program.variant(case, stage), count) if len(several) == 1 else None
             with terminal.progress("episodes" if name is None else f"episodes in {name}", always=False) as show_episode:
                 options = chosen | {"scenario": judged, "engine": name, "on_episode": show_episode}
-                result = learning.evaluate(known, case=case, stage=stage, until=until, spread=spread, **options)
+                result = learning.evaluate(known, case=case, stage=stage, until=until, executor=executor, **options)
                 alone = case is not None or stage is not None
-                cases = () if alone else learning.evaluate_cases(known, stages=details, spread=spread, **options)
+                cases = () if alone else learning.evaluate_cases(known, stages=details, executor=executor, **options)
                 scripted: Sequence[EvaluationResult] = ()
                 if baselines:
                     options = {key: value for key, value in options.items() if key not in ("model", "deterministic")}
@@ -282,8 +282,8 @@ def _kept(ref: ModelRef, workers: int | None, address: str | None, permissions: 
     """Choose the best model of a run again, and show how."""
     with terminal.transient_line("loading the policies ..."):
         from deepbots_cli.learning.keeping import keep  # which imports torch
-    with processes.spread(workers, address) as spread, terminal.progress("models", always=False) as show_model:
-        kept = keep(ref, permissions=permissions, on_model=show_model, spread=spread)
+    with processes.executor(workers, address) as executor, terminal.progress("models", always=False) as show_model:
+        kept = keep(ref, permissions=permissions, on_model=show_model, executor=executor)
     if not as_json:
         terminal.print_result(records.kept_text(kept))
     return kept
@@ -431,7 +431,7 @@ def _evaluate_group(
     csv: Path | None,
     junit: Path | None,
     as_json: bool,
-    spread: Spread,
+    executor: Executor,
     **chosen: Any,
 ) -> None:
     """Evaluate a group in each of the `scenarios`, which differ in their engine; None is the scenario of the group."""
@@ -448,7 +448,7 @@ def _evaluate_group(
             planned = (chosen["episodes"] or program.evaluation_episodes(chosen["case"])) * len(ready)
         until = partial(gates.decided_of_group, planned=planned) if planned and len(scenarios) == 1 else None
         with terminal.progress("runs", always=False) as show_run:
-            found = evaluate_group(folder, scenario=compiled, on_run=show_run, until=until, spread=spread, **chosen)
+            found = evaluate_group(folder, scenario=compiled, on_run=show_run, until=until, executor=executor, **chosen)
         for result in found.evaluations:
             records.write_evaluation(Run.open(result.run), records.evaluation_json(result))
         of = f"{found.evaluations[0].engine}: " if len(scenarios) > 1 else ""

@@ -148,7 +148,7 @@ def write_values(name: str, values: Mapping[str, str], comment: str, permissions
     file = opened.path.resolve()
     if any(file.is_relative_to(root.resolve()) for root in shipped.data_roots()):
         raise UsageError(
-            f"{file.name} comes with deepbots; copy it with `deepbots new mine --from {file.stem}`, and name the copy: --apply mine.yaml"
+            f"{file.name} comes with deepbots; copy it with `deepbots new mine --from {file.stem}`, and name the copy: mine.yaml"
         )
     before = after = files.read(file)
     wanted = opened.document(overrides=[f"{path}={text}" for path, text in values.items()], tests=True)
@@ -157,12 +157,12 @@ def write_values(name: str, values: Mapping[str, str], comment: str, permissions
         root, source = document.root, document.files[file]
         changed = None if root is None else assigned_text(root, source, setting_path(root, path), text, comment)
         if changed is None:
-            raise UsageError(f"{file} cannot be changed by --apply; write {path}: {text} yourself")
+            raise UsageError(f"{file} cannot be changed by `deepbots apply`; write {path}: {text} yourself")
         after = (BOM_UTF8 if before.startswith(BOM_UTF8) else b"") + changed.encode()
     written = opened.document(drafts={file: after})
     if wanted.root is None or written.root is None or to_data(wanted.root) != to_data(written.root):
         listed = ", ".join(f"{path}: {text}" for path, text in values.items())
-        raise UsageError(f"{file} cannot be changed by --apply; write the values yourself: {listed}")
+        raise UsageError(f"{file} cannot be changed by `deepbots apply`; write the values yourself: {listed}")
     with atomic_write(file) as draft:
         draft.write_bytes(after)
     return file

@@ -85,7 +85,7 @@ def command(
     gates.check(ref.run.program)
     with terminal.transient_line("loading the policy ..."):
         from deepbots_cli.learning.robustness import evaluate_robustness  # which imports torch
-    with processes.spread(workers, address) as spread, terminal.progress("evaluations") as show_level:
+    with processes.executor(workers, address) as executor, terminal.progress("evaluations") as show_level:
         found = evaluate_robustness(
             ref,
             episodes=episodes,
@@ -100,7 +100,7 @@ def command(
             min_return=min_return,
             permissions=permissions,
             on_level=show_level,
-            spread=spread,
+            executor=executor,
         )
     terminal.show(records.robustness_json(found), records.robustness_text(found), as_json=as_json)
     if not found.nominal_holds:

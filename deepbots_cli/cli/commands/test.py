@@ -22,8 +22,8 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.files import check_output
+from deepbots_cli.learning.executor import Attempt, results
 from deepbots_cli.learning.scenario_tests import TestResult, UnmetExpectation, run_tests
-from deepbots_cli.learning.spread import Attempt, results
 from deepbots_cli.lint.settings import settings
 from deepbots_cli.runtime.streams import derive_seed
 
@@ -88,8 +88,8 @@ def command(
     done = []
     calls = [_Scenario(name, only, engine, options) for name in names]
     files = [Path(name) for name in names if Path(name).is_file()]
-    with processes.spread(workers, address, len(names)) as spread:
-        for found in results(spread.map(_tested, calls, files=files)):
+    with processes.executor(workers, address, len(names)) as executor:
+        for found in results(executor.map(_tested, calls, files=files)):
             done.append(found)
             terminal.note_warnings(found.warnings, found.scenario)
             if not as_json:

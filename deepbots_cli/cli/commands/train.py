@@ -2,59 +2,45 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from functools import partial
-from importlib.util import find_spec
+from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
-from threading import Thread
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.cli import exploits, processes, records, retries, terminal
+from deepbots_cli.cli import exploits, processes, retries, terminal, trainings
 from deepbots_cli.cli.command import (
     ADVANCED,
     MAX_SEED,
-    OUTPUT,
+    Callbacks,
     ClusterAddress,
     Engine,
     Json,
+    Loggers,
     Overrides,
+    Page,
+    Quiet,
     Workers,
     integer,
+    names,
     option,
     seed_list,
     whole_number,
 )
-from deepbots_cli.cli.exits import FAILED, INTERRUPTED
+from deepbots_cli.cli.training_page import training_page
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
-from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
-from deepbots_cli.learning import report
-from deepbots_cli.learning.decline import decline_of
-from deepbots_cli.learning.group import MAX_RETRIES, Group
-from deepbots_cli.learning.run import Run, RunRecord
-from deepbots_cli.learning.verdict import run_verdict
-from deepbots_cli.processes import python_command, python_environment
-from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
+from deepbots_cli.errors import UsageError
+from deepbots_cli.learning.group import MAX_RETRIES
+from deepbots_cli.rollout.source import RECORDING_SUFFIX
 from deepbots_cli.scenario.training import MAX_SHARDS
 
 if TYPE_CHECKING:
-    from deepbots_cli.insight.statements import Statement
-    from deepbots_cli.learning import TrainingResult
-    from deepbots_cli.learning.group import GroupTraining
-    from deepbots_cli.learning.shards import Placement
-    from deepbots_cli.learning.spread import Spread
+    from deepbots_cli.learning.executor import Executor
     from deepbots_cli.program import Program
-
-_PAGE_FRAME_RATE = 10
-"""Pictures per second of the page of a training: a browser that draws in software shares the cores with the training."""
 
 
 def _shard_count(text: str) -> str:
@@ -72,7 +58,6 @@ def command(
         int | None, integer("--timesteps N", "Total number of timesteps, such as 200000, 200k or 2e5; by default `train.total_timesteps`.")
     ] = None,
     run: Annotated[Path | None, option("--run DIR", "Directory to create for the run or group; by default a new one in ./runs.")] = None,
-    resume: Annotated[Path | None, option("--resume RUN", "Continue the training of this run or group.")] = None,
     retry: Annotated[
         int | None,
         integer(
@@ -82,9 +67,6 @@ def command(
             MAX_RETRIES,
         ),
     ] = None,
-    apply: Annotated[
-        bool, option("--apply", "With --resume of a group of --retry, write the values of its best training into the scenario file.")
-    ] = False,
     full: Annotated[bool, option("--full --no-stop", "Train for all timesteps, even if the task is solved earlier.")] = False,
     stage: Annotated[
         str | None, option("--stage NAME", "Begin with this stage of the curriculum; by default with the first.", ADVANCED)
@@ -100,23 +82,8 @@ def command(
             ADVANCED,
         ),
     ] = None,
-    callbacks: Annotated[
-        list[str] | None,
-        option(
-            "--callback NAME",
-            "Call this callback of an installed package during the training; may be repeated. With --resume, `none` drops all.",
-            ADVANCED,
-        ),
-    ] = None,
-    loggers: Annotated[
-        list[str] | None,
-        option(
-            "--logger NAME",
-            "Write the scalars with this logger too: csv, or one that an installed package adds; may be repeated. With --resume, `none`"
-            " drops all.",
-            ADVANCED,
-        ),
-    ] = None,
+    callbacks: Callbacks = None,
+    loggers: Loggers = None,
     shards: Annotated[
         str | None,
         option(
@@ -137,10 +104,8 @@ def command(
     workers: Workers = None,
     address: ClusterAddress = None,
     engine: Engine = None,
-    to_view: Annotated[
-        bool, option("--view", "Show the newest policy in the browser while it is trained, as `deepbots view RUN` does.", OUTPUT)
-    ] = False,
-    quiet: Annotated[bool, option("--quiet -q", "Print no progress.", OUTPUT)] = False,
+    to_view: Page = False,
+    quiet: Quiet = False,
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
@@ -160,19 +125,14 @@ def command(
       deepbots train find_ball --view
       deepbots train panda_push --teacher by_hand
       deepbots train pit_escape --shards 2 --workers 2
-      deepbots train --resume runs/cartpole-0-1 --timesteps 200k
-      deepbots train --resume runs/cartpole-seeds-1 --workers 2
       deepbots train longer_pole.yaml --initialize-from runs/cartpole-0-1
 
-    Timesteps are counted over all parallel environments. A resumed training gives the same weights and logs, bit for bit, as a training
-    without interruption. With --resume, --timesteps is the new total, which includes the timesteps so far. --initialize-from copies
-    weights of the best model of a run, or of the model that you name, into the new policy: each tensor (array of weights) that has the
-    same name and shape in both. All others begin as usual.
+    Timesteps are counted over all parallel environments. --initialize-from copies weights of the best model of a run, or of the model that
+    you name, into the new policy: each tensor (array of weights) that has the same name and shape in both. All others begin as usual.
 
     Where the scenario names no algorithm, deepbots chooses it, with its hyperparameters, by the structure of the scenario.
 
-    `--logger csv` appends every scalar of TensorBoard to logs/scalars.csv of the run. A resumed run keeps its callbacks and loggers.
-    --callback replaces the callbacks, and --logger the loggers; `--callback none` or `--logger none` drops them.
+    `--logger csv` appends every scalar of TensorBoard to logs/scalars.csv of the run.
 
     --shards divides the environments of one training. With --workers, the shards run in processes of this machine, and with --cluster
     on a Ray cluster. Weights and logs depend on the number of shards, and not on where they run. If a process is lost, its shards repeat
@@ -180,100 +140,73 @@ def command(
     It chooses the fastest number, or 1 if no other is at least 1.1 times as fast.
 
     --seeds trains a group: one folder with a run for each seed. The trainings run one after the other, or with --workers N, N at a time
-    in N processes; the runs are the same. If a process is lost, another one resumes its training. --resume of a group skips
-    finished seeds.
+    in N processes; the runs are the same. If a process is lost, another one resumes its training.
 
     --retry N trains an unsolved task up to N times again: a group of runs try-1, try-2, ... with the same seed. Each changes a value under
     `train` that the most likely cause of the run before advises. It stops when a run is solved, or no other value is advised. The
-    scenario file stays as it is; --resume GROUP --apply FILE writes the values of the best run into FILE.
+    scenario file stays as it is; `deepbots apply GROUP FILE` writes the values of the best run into FILE.
 
-    Next: `deepbots view RUN` shows the policy, and `deepbots render RUN -o video.mp4` makes a video of it.
+    Next: `deepbots view RUN` shows the policy, `deepbots render RUN -o video.mp4` makes a video of it, and `deepbots resume RUN` continues
+    a training that was interrupted.
     """
     progress = not quiet
-    if resume is not None:
-        folders = permissions.folders or None
-        if retry is not None or apply or retries.of(resume) is not None:
-            refused = (
-                *(overrides, seed, seeds, run, stage, engine, keep_checkpoints, initialize_from, shards, teacher),
-                *(timesteps, callbacks, loggers),
-            )
-            retries.refuse((*refused, full or None, to_view or None, *(() if apply else (scenario, folders))))
-            if apply:
-                retries.apply(resume, scenario, permissions, as_json=as_json)
-                return
-            with _placement(workers, address, quiet=quiet) as placement:
-                retries.resume(resume, retry, placement, quiet=quiet, as_json=as_json, permissions=permissions)
-            return
-        made_with = (scenario, overrides, seed, seeds, run, stage, engine, folders, keep_checkpoints, initialize_from, shards, teacher)
-        if any(option is not None for option in made_with):
-            raise UsageError(
-                "--resume continues with the scenario and options of the run;"
-                " only these options can be added: --timesteps, --full, --callback, --logger, --workers,"
-                " --cluster, --quiet, --allow-code, --json"
-            )
-        changes: dict[str, Any] = {"total_timesteps": timesteps, "stop_when_solved": False if full else None, "permissions": permissions}
-        changes |= {"callbacks": _names(callbacks), "loggers": _names(loggers), "progress": progress}
-        if callbacks or loggers:
-            from deepbots_cli.learning.sb3 import plugins  # which imports torch
+    if retry is not None and (seeds is not None or to_view):
+        other = "--view" if seeds is None else "--seeds"
+        raise UsageError(f"--retry follows the causes of one training; leave out {other}, and use it with the values that --retry finds")
+    scenario = _checked_options(scenario, seed, seeds, run)
+    listed = None if seeds is None else seed_list(seeds)
+    is_recorded = teacher is not None and teacher.endswith(RECORDING_SUFFIX)
+    undivided = [*with_engine(overrides, engine), *([] if teacher is None or is_recorded else [f"train.teacher={teacher}"])]
+    changed = undivided if shards in (None, "auto") else [*undivided, f"train.shards={shards}"]
+    compiled = api.with_learner(api.compile(scenario, overrides=changed, permissions=permissions))
+    workers = _checked_workers(compiled.program, shards, listed, workers, address)
+    terminal.note_warnings(compiled.findings, scenario)
+    settings: dict[str, Any] = {
+        "total_timesteps": timesteps,
+        "stop_when_solved": not full,
+        "stage": stage,
+        "keep_checkpoints": keep_checkpoints or 0,
+        "initialize_from": initialize_from,
+        "demonstrations": teacher if is_recorded else None,
+        "callbacks": names(callbacks),
+        "loggers": names(loggers),
+        "command": ["deepbots", *sys.argv[1:]],
+    }
+    with terminal.transient_line("loading PyTorch ..." if progress else ""):
+        checked_settings = learning.checked_settings  # which imports torch
+    checked_settings(compiled.program, listed or [seed or 0], **settings)
+    settings["progress"] = progress
+    if progress:
+        _announce(compiled, f"seeds {seeds}" if seeds else f"seed {seed or 0}", timesteps, full=full)
+        if not as_json:
+            from deepbots_cli.cli import throughput
 
-            plugins.check(_names(callbacks) or (), _names(loggers) or ())
-        if Source.open(resume, permissions, SourceKind.RUN, SourceKind.GROUP).kind is SourceKind.GROUP:
-            with processes.spread(workers, address, len(Group.open(resume).record.seeds), quiet=quiet) as spread:
-                group = learning.resume_group(resume, on_seed=None if quiet else _announce_seed, spread=spread, **changes)
-                _finish_group(group, spread, quiet=quiet, as_json=as_json, permissions=permissions)
+            _name_missing_search(compiled.program, scenario)
+            throughput.note_faster_engine(compiled.program, timesteps, permissions=permissions)
+    shown: dict[str, Any] = {"quiet": quiet, "as_json": as_json, "permissions": permissions}
+    if listed is not None:
+        with processes.executor(workers, address, len(listed), quiet=quiet) as executor:
+            announce = None if quiet else trainings.announce_seed
+            group = learning.train_group(compiled, listed, group=run, on_seed=announce, executor=executor, **settings)
+            trainings.finish_group(group, executor, **shown)
+        return
+    with (
+        training_page(wanted=to_view, permissions=permissions) as show_page,
+        processes.executor(workers, address, quiet=quiet) as executor,
+    ):
+        if shards == "auto":
+            compiled = _with_fastest_shards(scenario, compiled, undivided, executor, seed or 0, permissions)
+        if retry is not None:
+            retries.train(compiled, retry, seed=seed or 0, group=run, executor=executor, quiet=quiet, as_json=as_json, **settings)
             return
-        with _page(wanted=to_view, permissions=permissions) as show_page, _placement(workers, address, quiet=quiet) as placement:
-            show_page(resume)
-            result = learning.resume(resume, placement=placement, **changes)
-    else:
-        retries.check(retry, apply=apply, other="--seeds" if seeds is not None else "--view" if to_view else None)
-        scenario = _checked_options(scenario, seed, seeds, run)
-        listed = None if seeds is None else seed_list(seeds)
-        is_recorded = teacher is not None and teacher.endswith(RECORDING_SUFFIX)
-        undivided = [*with_engine(overrides, engine), *([] if teacher is None or is_recorded else [f"train.teacher={teacher}"])]
-        changed = undivided if shards in (None, "auto") else [*undivided, f"train.shards={shards}"]
-        compiled = api.with_learner(api.compile(scenario, overrides=changed, permissions=permissions))
-        workers = _checked_workers(compiled.program, shards, listed, workers, address)
-        terminal.note_warnings(compiled.findings, scenario)
-        settings: dict[str, Any] = {
-            "total_timesteps": timesteps,
-            "stop_when_solved": not full,
-            "stage": stage,
-            "keep_checkpoints": keep_checkpoints or 0,
-            "initialize_from": initialize_from,
-            "demonstrations": teacher if is_recorded else None,
-            "callbacks": _names(callbacks) or (),
-            "loggers": _names(loggers) or (),
-            "command": ["deepbots", *sys.argv[1:]],
-        }
-        with terminal.transient_line("loading PyTorch ..." if progress else ""):
-            checked_settings = learning.checked_settings  # which imports torch
-        checked_settings(compiled.program, listed or [seed or 0], **settings)
-        settings["progress"] = progress
-        if progress:
-            _announce(compiled, f"seeds {seeds}" if seeds else f"seed {seed or 0}", timesteps, full=full)
-            if not as_json:
-                from deepbots_cli.cli import throughput
 
-                _name_missing_search(compiled.program, scenario)
-                throughput.note_faster_engine(compiled.program, timesteps, permissions=permissions)
-        if listed is not None:
-            with processes.spread(workers, address, len(listed), quiet=quiet) as spread:
-                announce = None if quiet else _announce_seed
-                group = learning.train_group(compiled, listed, group=run, on_seed=announce, spread=spread, **settings)
-                _finish_group(group, spread, quiet=quiet, as_json=as_json, permissions=permissions)
-            return
-        with _page(wanted=to_view, permissions=permissions) as show_page, _placement(workers, address, quiet=quiet) as placement:
-            if shards == "auto":
-                compiled = _with_fastest_shards(scenario, compiled, undivided, placement, seed or 0, permissions)
-            if retry is not None:
-                settings |= {"seed": seed or 0, "group": run, "placement": placement}
-                retries.train(compiled, retry, quiet=quiet, as_json=as_json, **settings)
-                return
-            result = learning.train(
-                compiled, run=run, seed=seed or 0, on_start=partial(_begin, show_page, quiet=quiet), placement=placement, **settings
-            )
-    _finish(result, quiet=quiet, as_json=as_json, permissions=permissions)
+        def begin(path: Path) -> None:
+            if progress:
+                terminal.note(f"the run is {path}")
+            show_page(path)
+
+        result = learning.train(compiled, run=run, seed=seed or 0, on_start=begin, executor=executor, **settings)
+    trainings.finish(result, **shown)
 
 
 def _checked_options(scenario: str | None, seed: int | None, seeds: str | None, run: Path | None) -> str:
@@ -309,42 +242,27 @@ def _checked_workers(
     return workers
 
 
-@contextmanager
-def _placement(workers: int | None, address: str | None, *, quiet: bool) -> Iterator[Placement]:
-    """Where the shards of a training run."""
-    from deepbots_cli.learning.shards import THIS_PROCESS  # which imports torch
-
-    with processes.cluster(workers, address, quiet=quiet) as found:
-        yield found or THIS_PROCESS
-
-
 def _with_fastest_shards(
-    scenario: str, compiled: api.Compiled, overrides: list[str], placement: Placement, seed: int, permissions: Permissions
+    scenario: str, compiled: api.Compiled, overrides: list[str], executor: Executor, seed: int, permissions: Permissions
 ) -> api.Compiled:
     """The scenario with the number of shards that trains fastest."""
-    from deepbots_cli.cluster import Cluster
     from deepbots_cli.learning import scaling
 
     training = compiled.program.agent.training
-    if training is None or not isinstance(placement, Cluster):
+    if training is None or executor.is_here:
         return compiled
-    numbers = scaling.candidates(training.environments, placement.workers)
+    numbers = scaling.candidates(training.environments, executor.workers)
     if len(numbers) == 1:
         terminal.note("the training has 1 shard: there is nothing to divide, with one environment or one worker")
         return compiled
-    folder = None if placement.is_on_this_machine else Path.cwd()
+    folder = None if executor.is_on_this_machine else Path.cwd()
     with terminal.progress("measurements") as show:
         timings = scaling.measure(
-            scenario, numbers, placement, overrides=overrides, permissions=permissions, seed=seed, folder=folder, on_measured=show
+            scenario, numbers, executor, overrides=overrides, permissions=permissions, seed=seed, folder=folder, on_measured=show
         )
     chosen = scaling.choose(timings)
     terminal.note(scaling.described(timings, chosen))
     return api.compile(scenario, overrides=[*overrides, f"train.shards={chosen.shards}"], permissions=permissions)
-
-
-def _names(given: list[str] | None) -> list[str] | None:
-    """The names of an option that may be repeated; `none` alone stands for no name, and None for an option that is not given."""
-    return [] if given == ["none"] else given
 
 
 def _announce(compiled: api.Compiled, seeds: str, timesteps: int | None, *, full: bool) -> None:
@@ -358,165 +276,7 @@ def _announce(compiled: api.Compiled, seeds: str, timesteps: int | None, *, full
         terminal.note(f"at most {timesteps or training.total_timesteps:,} timesteps{until}; Ctrl-C ends it and keeps the policy")
 
 
-def _begin(show_page: Callable[[Path], None], run: Path, *, quiet: bool) -> None:
-    """Say where the run is, and show its page."""
-    if not quiet:
-        terminal.note(f"the run is {run}")
-    show_page(run)
-
-
 def _name_missing_search(program: Program, scenario: str) -> None:
     """Name the search for exploits of the reward if it was not made from this folder."""
     if not exploits.was_searched(program):
         terminal.note(f"tip: `deepbots lint {quote(scenario)} --exploits` looks for ways to earn this reward without doing the task")
-
-
-@contextmanager
-def _page(*, wanted: bool, permissions: Permissions) -> Iterator[Callable[[Path], None]]:
-    """Yield a function that shows a run in the browser, where this is wanted; the page ends with the block.
-
-    It is a process of its own, so that the training does not wait for it, and has a low priority once it serves its address: on a busy
-    machine, a page that began with a low priority served none for 40 s.
-    """
-    if wanted and find_spec("viser") is None:
-        raise MissingExtraError("view", "a page in the browser")
-    started: list[tuple[subprocess.Popen[str], Thread]] = []
-
-    def show(run: Path) -> None:
-        if wanted:
-            options = ["--fps", str(_PAGE_FRAME_RATE), *(["--allow-code"] if permissions.code else [])]
-            command = python_command("deepbots_cli", "view", *options, "--", str(run))
-            nowhere, pipe = subprocess.DEVNULL, subprocess.PIPE
-            process = subprocess.Popen(command, stdin=nowhere, stdout=pipe, text=True, env=python_environment())
-            started.append((process, Thread(target=_await_page, args=(process,), daemon=True)))
-            started[0][1].start()
-
-    try:
-        yield show
-    finally:
-        for process, waiting in started:
-            process.kill()  # which, unlike SIGTERM, it does not report
-            process.wait()
-            waiting.join()  # its standard output has ended
-
-
-def _await_page(page: subprocess.Popen[str]) -> None:
-    """Show the address of a page once it serves it, and lower its priority."""
-    assert page.stdout is not None
-    print(page.stdout.readline(), end="", file=sys.stderr, flush=True)
-    if sys.platform != "win32":
-        threads = Path(f"/proc/{page.pid}/task")  # in Linux, the priority of a process is that of its first thread
-        with suppress(OSError):  # it has ended
-            for thread in [int(each.name) for each in threads.iterdir()] if threads.is_dir() else [page.pid]:
-                os.setpriority(os.PRIO_PROCESS, thread, 15)
-
-
-def _announce_seed(seed: int, number: int, count: int) -> None:
-    terminal.note(f"seed {seed}, {number} of {count}")
-
-
-def _show_training(text: str, data: object, stopped: bool, *, as_json: bool) -> None:
-    """Show a training as text; after an interruption also as JSON, and end the command."""
-    if stopped or not as_json:
-        terminal.show(data, text, as_json=as_json)
-    sys.stdout.flush()  # after SIGTERM, the process may be killed at any moment
-    if stopped:
-        raise typer.Exit(INTERRUPTED)
-
-
-@contextmanager
-def _evaluating(trained: Path, *, quiet: bool) -> Iterator[None]:
-    """The evaluation after a training; an interruption ends the command."""
-    if not quiet:
-        terminal.note("evaluating on held-out episodes without exploration, so returns differ from those of the training ...")
-    try:
-        yield
-    except KeyboardInterrupt:
-        terminal.note(f"interrupted; the training is finished, evaluate it with: deepbots eval {quote(str(trained))}")
-        raise typer.Exit(INTERRUPTED) from None
-
-
-def _finish_group(group: GroupTraining, spread: Spread, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
-    """Show the trainings of a group; unless it was interrupted, evaluate all of its runs and name the next commands."""
-    _show_training(records.group_training_text(group), {"training": vars(group), "evaluation": None}, group.interrupted, as_json=as_json)
-    with _evaluating(group.group, quiet=quiet), terminal.progress("runs", always=False) as show_run:
-        evaluation = learning.evaluate_group(group.group, permissions=permissions, on_run=show_run, spread=spread)
-    for found in evaluation.evaluations:
-        records.write_evaluation(Run.open(found.run), records.evaluation_json(found))
-    path = quote(str(group.group))
-    data: dict[str, Any] = {"training": vars(group), "evaluation": records.group_json(evaluation)}
-    verdicts = {found.run: run_verdict(found.run, RunRecord.read(found.run)).solved for found in evaluation.evaluations}
-    unsolved = [
-        found for found in evaluation.evaluations if verdicts[found.run] is False or (verdicts[found.run] is None and found.success_defined)
-    ]
-    worst = min(unsolved, key=lambda found: (found.success_rate, found.mean_return), default=None)
-    causes = [] if worst is None else _causes(worst.run, quiet=quiet, permissions=permissions)
-    further = [f"deepbots eval {path} --csv {quote(f'{group.group.name}.csv')}", f"deepbots compare {path} OTHER_GROUP"]
-    further.append(f"tensorboard --logdir {path}")
-    found_falls = {run.name: decline_of(run, RunRecord.read(run)) for run in Group.open(group.group).runs}
-    falls = {name: fall for name, fall in found_falls.items() if fall is not None}
-    data |= {"cause": causes[0].as_json() if causes else None, "declines": {name: fall.as_json() for name, fall in falls.items()}}
-    fallen = [f"\nnote: {name}: {fall.text}" for name, fall in falls.items()]
-    further = [*(cause.command for cause in causes[:1]), *further]
-    of = "" if worst is None else f" of {worst.run}, the worst of {len(unsolved)} unsolved seed{'s' * (len(unsolved) > 1)}"
-    terminal.show(
-        data,
-        "\n" + records.group_text(evaluation),
-        *fallen,
-        *retries.cause_lines(causes, of),
-        as_json=as_json,
-        next_commands=further,
-    )
-    if group.failed:
-        raise typer.Exit(FAILED)
-
-
-def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
-    """Show the result of the training; unless it was interrupted, evaluate the policy and name the next commands."""
-    _show_training(records.training_text(result), {"training": result, "evaluation": None}, result.stop_requested, as_json=as_json)
-    trained = Run.open(result.run)
-    is_confirmed = result.confirmed_seed is not None  # by episodes that are the evaluation
-    with _evaluating(result.run, quiet=quiet or is_confirmed), terminal.progress(always=False) as show_episode:
-        evaluation = learning.evaluate_trained(trained, permissions=permissions, on_episode=show_episode)
-        cases = learning.evaluate_cases(trained, permissions=permissions, on_episode=show_episode)
-    found = records.evaluation_json(evaluation, cases)
-    if evaluation.confirmation is None or cases:
-        records.write_evaluation(trained, found)
-    solved = run_verdict(trained.path, trained.record).solved
-    run, film, logs = (quote(str(path)) for path in (result.run, f"{result.run.name}.mp4", result.run / "tensorboard"))
-    longer = f"--timesteps {report.longer_goal(max(result.steps, result.total_timesteps)):_}"
-    further = [f"deepbots render {run} -o {film}", f"deepbots train --resume {run} {longer}", f"tensorboard --logdir {logs}"]
-    if solved:
-        further = [f"deepbots {command} {run}" for command in ("view", "report", "export")]
-    has_goal = solved is False or trained.program.defines_success
-    unsolved = has_goal and not solved
-    fall = decline_of(result.run, trained.record)
-    causes = _causes(result.run, quiet=quiet, permissions=permissions) if unsolved or fall is not None else []
-    if unsolved and not causes:
-        further.insert(0, f"deepbots eval {run} --details")
-    if causes:
-        commands = [causes[0].command, f"deepbots diagnose {run}"]
-        further = [*dict.fromkeys(filter(None, [*commands, *further[:1], *further[2:]]))]
-    data = {
-        "training": result,
-        "evaluation": found,
-        "solved": solved,
-        "decline": None if fall is None else fall.as_json(),
-        "cause": causes[0].as_json() if causes else None,
-    }
-    text = "\n" + records.evaluation_text(evaluation, cases)
-    no_cause = ["\nno cause found; `eval --details` shows from which starts the policy fails"] if unsolved and not causes else []
-    is_explained = bool(causes) and causes[0].cause == "fell_apart"  # whose text is this sentence
-    fallen = [] if fall is None or is_explained else [f"\nnote: {fall.text}"]
-    terminal.show(data, text, *fallen, *retries.cause_lines(causes), *no_cause, as_json=as_json, next_commands=further)
-
-
-def _causes(run: Path, *, quiet: bool, permissions: Permissions) -> list[Statement]:
-    """Why a training did not solve its task or fell apart, the most likely cause first."""
-    with terminal.transient_line("" if quiet else "looking for the cause ..."):
-        from deepbots_cli.insight.diagnosis import causes_after
-
-        try:
-            return causes_after(run, permissions)
-        except DeepbotsError:  # it has no finished episode, for example
-            return []

@@ -125,7 +125,7 @@ def command(
             raise UsageError(
                 f"{run.path} was trained in {other}; name the other engine with --engine, or another world with --scenario or --set"
             )
-        with processes.spread(workers, address) as spread, terminal.progress("worlds", always=False) as show:
+        with processes.executor(workers, address) as executor, terminal.progress("worlds", always=False) as show:
             found.append(
                 transfer(
                     run,
@@ -139,7 +139,7 @@ def command(
                     with_conditions=not quick,
                     seed=seed,
                     permissions=permissions,
-                    spread=spread,
+                    executor=executor,
                     on_world=show,
                 )
             )

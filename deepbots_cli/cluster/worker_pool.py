@@ -21,8 +21,8 @@ from typing import Any, NamedTuple, NoReturn, Protocol
 
 import deepbots_cli
 from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.learning.executor import Attempt
 from deepbots_cli.learning.run import versions
-from deepbots_cli.learning.spread import Attempt
 
 MAX_LOSSES = 3
 """Workers that may be lost in one fragment of a shard, or in one call."""
@@ -45,7 +45,7 @@ class News(NamedTuple):
     begun: Collection[int] | None
 
 
-class Executor(Protocol):
+class WorkerPool(Protocol):
     """Processes for objects with methods (`start`, `ask`) and for calls of functions (`calls`).
 
     An answer that a worker owes is a hashable object, which `wait` and `answer` take.
@@ -96,7 +96,7 @@ class Executor(Protocol):
 
 
 class Calls(Protocol):
-    """The calls of one `Spread.map` on an executor."""
+    """The calls of one `Executor.map` on an pool."""
 
     def submit(self, call: Call) -> Any:
         """Begin a call; the answer that it owes, which is that of `perform`."""

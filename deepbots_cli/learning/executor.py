@@ -1,6 +1,7 @@
-"""Calls of one function with several items, such as the seeds of a group: in this process, or on the workers of `deepbots_cli.cluster`.
+"""Where work runs: in this process, or on the workers of `deepbots_cli.cluster`.
 
-A result must depend on its item only. A call whose worker was lost is repeated on another one.
+Work is calls of one function with several items, such as the seeds of a group, or the shards of one training. A result depends on its
+item only. A call whose worker was lost is repeated on another one.
 """
 
 from __future__ import annotations
@@ -9,9 +10,17 @@ from collections.abc import Callable, Generator, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, TypedDict, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, Protocol, TypedDict, TypeVar, Unpack
 
 from deepbots_cli.errors import DeepbotsError
+
+if TYPE_CHECKING:  # which imports torch
+    from contextlib import ExitStack
+
+    from deepbots_cli.learning.environments import WorldFactory
+    from deepbots_cli.learning.run import Run
+    from deepbots_cli.program.task import Training
+    from deepbots_cli.rollout.collector import ShardPool
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -68,7 +77,7 @@ class Counter(Watcher):
 
 
 class CallOptions(TypedDict, total=False):
-    """Options of `Spread.map`.
+    """Options of `Executor.map`.
 
     Attributes:
         watcher: Is told of reports, notes and results.
@@ -84,12 +93,16 @@ class CallOptions(TypedDict, total=False):
     stop: Callable[[], bool]
 
 
-class Spread(Protocol):
-    """Where calls run."""
+class Executor(Protocol):
+    """Where calls and shards run."""
 
     @property
     def is_here(self) -> bool:
         """Whether calls run in this process, one after the other."""
+
+    @property
+    def is_on_this_machine(self) -> bool:
+        """Whether all workers see the files that this process sees."""
 
     @property
     def workers(self) -> int:
@@ -111,9 +124,16 @@ class Spread(Protocol):
             UsageError: A worker has other versions of deepbots or of its libraries, or does not see a file.
         """
 
+    def shards(self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Callable[[str], None]) -> ShardPool:
+        """The shards of a training, which end with `stack`; `note` is called with what the user should know.
+
+        Raises:
+            UsageError: A worker does not see the run, or has other versions of deepbots or of its libraries.
+        """
+
 
 class _ThisProcess:
-    is_here = True
+    is_here = is_on_this_machine = True
     workers = 1
 
     def map(
@@ -129,8 +149,15 @@ class _ThisProcess:
             watcher.on_done(number, outcome)
             yield outcome
 
+    def shards(self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Callable[[str], None]) -> ShardPool:
+        from deepbots_cli.learning.shards import LocalShards, Shard, world_numbers  # which import torch
 
-ONE_BY_ONE: Spread = _ThisProcess()
+        pool = LocalShards([Shard(run, build, number, worlds) for number, worlds in enumerate(world_numbers(training))])
+        stack.callback(pool.close)
+        return pool
+
+
+SERIAL: Executor = _ThisProcess()
 
 
 def results(found: Generator[Result | DeepbotsError | None]) -> Generator[Result]:

@@ -1,0 +1,182 @@
+"""The display of a study while it runs, its table, and what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from shlex import quote
+from statistics import fmean
+
+import typer
+
+from deepbots_cli.cli import processes, terminal
+from deepbots_cli.cli.exits import INTERRUPTED
+from deepbots_cli.cli.records import interval_text
+from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.document import Permissions
+from deepbots_cli.learning.study import Study, StudyReporter, StudyTrial, TrialProgress
+from deepbots_cli.learning.trials import run_study
+
+_MAX_SHOWN = 10
+"""Trials in the table; --json has all."""
+
+
+def continue_study(study: Study, workers: int | None, address: str | None, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
+    """Train the trials of a study that are left, and show its table."""
+    with processes.executor(workers, address, study.record.trials, quiet=quiet) as executor:
+        display = StudyDisplay(study, quiet=quiet)
+        try:
+            done = run_study(study, reporter=display, permissions=permissions, executor=executor)
+        finally:
+            display.stop()
+    show_study(study, done=done, as_json=as_json)
+
+
+class StudyDisplay(StudyReporter):
+    """A line for each trial that ends; on a terminal, a line below it that is rewritten during a training."""
+
+    def __init__(self, study: Study, *, quiet: bool) -> None:
+        self._study, self._quiet, self._best = study, quiet, ""
+        self._line = terminal.LiveLine() if not quiet else None
+        self._begun: dict[int, StudyTrial] = {}
+        self._at_work: dict[int, TrialProgress] = {}
+        self._noted: set[str] = set()
+        record = study.record
+        if not quiet:
+            keys = ", ".join(f"{name} = {space}" for name, space in record.search.items())
+            terminal.note(f"study {study.path}: {keys}")
+            terminal.note(
+                f"{record.trials} trial{'s' * (record.trials > 1)} with {len(record.seeds)} seed{'s' * (len(record.seeds) > 1)} and at most"
+                f" {record.total_timesteps:,} timesteps each; {_OBJECTIVES[record.objective]}; Ctrl-C keeps everything"
+            )
+            if task := [name for name in record.search if not name.startswith("train.")]:
+                terminal.note(f"note: {', '.join(task)} may change the task itself; each trial is evaluated in its own task")
+
+    def note(self, text: str) -> None:
+        if not self._quiet and text not in self._noted:  # all trainings may have the same
+            self._noted.add(text)
+            self.stop()
+            terminal.note(f"note: {text}")
+
+    def begin_trial(self, trial: StudyTrial) -> None:
+        self._begun[trial.number] = trial
+
+    def update(self, number: int, progress: TrialProgress) -> None:
+        self._at_work[number] = progress
+        if self._line is not None:
+            self._line.show("  ".join(filter(None, [self._work(), self._best])))
+
+    def _work(self) -> str:
+        """How far the trials at work are."""
+        if len(self._at_work) > 1:
+            return "at work: " + ", ".join(f"trial {number} ({each.fraction:.0%})" for number, each in self._at_work.items())
+        ((number, each),) = self._at_work.items()
+        steps = f"{each.training.steps:,} of {each.training.total_steps:,} steps"
+        return f"seed {each.seed}, {each.place} of {each.count}: {steps}  trial {number}: {_settings(self._begun[number].values)}"
+
+    def stop(self) -> None:
+        if self._line is not None:
+            self._line.clear()
+
+    def end_trial(self, trial: StudyTrial) -> None:
+        self._at_work.pop(trial.number, None)
+        if self._line is None:
+            return
+        self._line.clear()
+        best = next(iter(self._study.ranked(self._study.trials())), None)
+        self._best = f"best so far: trial {best.number}, score {best.score:.4g}" if best else ""
+        result = trial.reason or trial.state if trial.score is None else _result(trial)
+        terminal.note(f"trial {trial.number}: {_settings(trial.values)}: {result}")
+
+
+_OBJECTIVES: Mapping[str, str] = {
+    "solved": "score: fraction of the timesteps until solved, the mean over the seeds; above 1: not solved",
+    "success_rate": "score: success rate of the evaluation, the mean over the seeds",
+    "mean_return": "score: mean return of the evaluation, the mean over the seeds",
+}
+
+
+def _settings(values: Mapping[str, str]) -> str:
+    return ", ".join(f"{name}={text}" for name, text in values.items())
+
+
+def _result(trial: StudyTrial) -> str:
+    solved = [each.steps for each in trial.seeds if each.steps is not None]
+    after = f", {len(solved)} of {len(trial.seeds)} seeds solved" + (f" after {fmean(solved):,.0f} steps" if solved else "")
+    return f"score {trial.score:.4g}{after}"
+
+
+def _row(study: Study, trial: StudyTrial) -> Row:
+    solved = [each.steps for each in trial.seeds if each.steps is not None]
+    return {
+        "trial": trial.number,
+        **trial.values,
+        "score": trial.score,
+        "score_95 %": interval_text(study.record.score_interval(trial)),
+        "solved": f"{len(solved)} of {len(trial.seeds)}",
+        "steps": round(fmean(solved)) if solved else None,
+        "return": trial.mean_return,
+        "success": None if trial.success_rate is None else f"{trial.success_rate:.1%}",
+    }
+
+
+def show_study(study: Study, *, done: bool, as_json: bool) -> None:
+    """The best trials, and what to do next."""
+    trials = study.trials()
+    ranked, path = study.ranked(trials), quote(str(study.path))
+    counts = {state: sum(trial.state == state for trial in trials) for state in ("complete", "pruned", "failed", "running")}
+    rows = [_row(study, trial) for trial in ranked[:_MAX_SHOWN]]
+    summary = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
+    lines = [f"study {study.path}: {summary or 'no trial'} of {study.record.trials} trials", *([table(rows)] if rows else [])]
+    best = ranked[0] if ranked else None
+    over_first = study.over_first(trials)
+    if best is not None:
+        lines.append(_best_text(study, ranked))
+    if done and counts["running"]:
+        lines.append(f"another process still trains {counts['running']} of them; this table shows what is complete")
+    data = {
+        "study": study.path,
+        "objective": study.record.objective,
+        "done": done,
+        "best": best.number if best else None,
+        "over_first": over_first,
+        "trials": [{**vars(trial), "score_interval": study.record.score_interval(trial)} for trial in trials],
+    }
+    further = [f"deepbots report {path}", f"deepbots resume {path} --trials {2 * study.record.trials}"]
+    if not done:
+        further = [f"deepbots resume {path}"]
+    elif best is not None:
+        if over_first is not None and over_first.is_clear:
+            further.insert(1, f"deepbots apply {path}")
+        if len(ranked) == 1 or ranked[1].score != best.score:  # of equal scores, too few starts chose the best one
+            settings = " ".join(f"--set {quote(text)}" for text in (*study.record.set, *best.assignments))
+            further.append(f"deepbots train {quote(study.record.source)} {settings} --seeds {unused_seeds(study)}")
+    terminal.show(data, *lines, as_json=as_json, next_commands=further)
+    if not done:
+        raise typer.Exit(INTERRUPTED)
+
+
+def _best_text(study: Study, ranked: Sequence[StudyTrial]) -> str:
+    """The best trial, those with its score, and whether it is clearly better than the values of the scenario itself."""
+    best, over_first = ranked[0], study.over_first(ranked)
+    text = f"best: trial {best.number}, score {best.score:.4g}"
+    if equals := sum(trial.score == best.score for trial in ranked) - 1:
+        measures = "the return" if study.record.objective == "mean_return" else "the success rate, then the return"
+        text += f"; {equals} other trial{'s have' if equals > 1 else ' has'} this score, and {measures} chose the best one"
+    if over_first is None:
+        is_first = best.number == 0 and study.record.present
+        return text + ("; it has the values of the scenario itself" if is_first else "")
+    difference, first = over_first.difference, next(trial for trial in ranked if trial.number == 0)
+    own = f"the values of the scenario itself (trial 0, score {first.score:.4g})"
+    if over_first.is_clear:
+        return f"{text}; it is clearly better than {own}"
+    if difference.interval is None:
+        why = "one seed does not show it"
+    else:
+        low, high = difference.interval
+        why = f"the interval of the difference, {low:.4g} .. {high:.4g} for {len(ranked)} trials, contains 0"
+    return f"{text}; it is not clearly better than {own}: {why}"
+
+
+def unused_seeds(study: Study) -> str:
+    first = max(study.record.seeds) + 1
+    return f"{first}..{first + 4}"

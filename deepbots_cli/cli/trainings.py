@@ -1,0 +1,140 @@
+"""The results of `train` and `resume`: the training as text, its evaluation, causes, and the next commands."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from deepbots_cli import learning
+from deepbots_cli.cli import records, retries, terminal
+from deepbots_cli.cli.exits import FAILED, INTERRUPTED
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.learning import report
+from deepbots_cli.learning.decline import decline_of
+from deepbots_cli.learning.group import Group
+from deepbots_cli.learning.run import Run, RunRecord
+from deepbots_cli.learning.verdict import run_verdict
+
+if TYPE_CHECKING:
+    from deepbots_cli.insight.statements import Statement
+    from deepbots_cli.learning import TrainingResult
+    from deepbots_cli.learning.executor import Executor
+    from deepbots_cli.learning.group import GroupTraining
+
+
+def announce_seed(seed: int, number: int, count: int) -> None:
+    terminal.note(f"seed {seed}, {number} of {count}")
+
+
+def _show_training(text: str, data: object, stopped: bool, *, as_json: bool) -> None:
+    """Show a training as text; after an interruption also as JSON, and end the command."""
+    if stopped or not as_json:
+        terminal.show(data, text, as_json=as_json)
+    sys.stdout.flush()  # after SIGTERM, the process may be killed at any moment
+    if stopped:
+        raise typer.Exit(INTERRUPTED)
+
+
+@contextmanager
+def _evaluating(trained: Path, *, quiet: bool) -> Iterator[None]:
+    """The evaluation after a training; an interruption ends the command."""
+    if not quiet:
+        terminal.note("evaluating on held-out episodes without exploration, so returns differ from those of the training ...")
+    try:
+        yield
+    except KeyboardInterrupt:
+        terminal.note(f"interrupted; the training is finished, evaluate it with: deepbots eval {quote(str(trained))}")
+        raise typer.Exit(INTERRUPTED) from None
+
+
+def finish_group(group: GroupTraining, executor: Executor, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
+    """Show the trainings of a group; unless it was interrupted, evaluate all of its runs and name the next commands."""
+    _show_training(records.group_training_text(group), {"training": vars(group), "evaluation": None}, group.interrupted, as_json=as_json)
+    with _evaluating(group.group, quiet=quiet), terminal.progress("runs", always=False) as show_run:
+        evaluation = learning.evaluate_group(group.group, permissions=permissions, on_run=show_run, executor=executor)
+    for found in evaluation.evaluations:
+        records.write_evaluation(Run.open(found.run), records.evaluation_json(found))
+    path = quote(str(group.group))
+    data: dict[str, Any] = {"training": vars(group), "evaluation": records.group_json(evaluation)}
+    verdicts = {found.run: run_verdict(found.run, RunRecord.read(found.run)).solved for found in evaluation.evaluations}
+    unsolved = [
+        found for found in evaluation.evaluations if verdicts[found.run] is False or (verdicts[found.run] is None and found.success_defined)
+    ]
+    worst = min(unsolved, key=lambda found: (found.success_rate, found.mean_return), default=None)
+    causes = [] if worst is None else _causes(worst.run, quiet=quiet, permissions=permissions)
+    further = [f"deepbots eval {path} --csv {quote(f'{group.group.name}.csv')}", f"deepbots compare {path} OTHER_GROUP"]
+    further.append(f"tensorboard --logdir {path}")
+    found_falls = {run.name: decline_of(run, RunRecord.read(run)) for run in Group.open(group.group).runs}
+    falls = {name: fall for name, fall in found_falls.items() if fall is not None}
+    data |= {"cause": causes[0].as_json() if causes else None, "declines": {name: fall.as_json() for name, fall in falls.items()}}
+    fallen = [f"\nnote: {name}: {fall.text}" for name, fall in falls.items()]
+    further = [*(cause.command for cause in causes[:1]), *further]
+    of = "" if worst is None else f" of {worst.run}, the worst of {len(unsolved)} unsolved seed{'s' * (len(unsolved) > 1)}"
+    terminal.show(
+        data,
+        "\n" + records.group_text(evaluation),
+        *fallen,
+        *retries.cause_lines(causes, of),
+        as_json=as_json,
+        next_commands=further,
+    )
+    if group.failed:
+        raise typer.Exit(FAILED)
+
+
+def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
+    """Show the result of the training; unless it was interrupted, evaluate the policy and name the next commands."""
+    _show_training(records.training_text(result), {"training": result, "evaluation": None}, result.stop_requested, as_json=as_json)
+    trained = Run.open(result.run)
+    is_confirmed = result.confirmed_seed is not None  # by episodes that are the evaluation
+    with _evaluating(result.run, quiet=quiet or is_confirmed), terminal.progress(always=False) as show_episode:
+        evaluation = learning.evaluate_trained(trained, permissions=permissions, on_episode=show_episode)
+        cases = learning.evaluate_cases(trained, permissions=permissions, on_episode=show_episode)
+    found = records.evaluation_json(evaluation, cases)
+    if evaluation.confirmation is None or cases:
+        records.write_evaluation(trained, found)
+    solved = run_verdict(trained.path, trained.record).solved
+    run, film, logs = (quote(str(path)) for path in (result.run, f"{result.run.name}.mp4", result.run / "tensorboard"))
+    longer = f"--timesteps {report.longer_goal(max(result.steps, result.total_timesteps)):_}"
+    further = [f"deepbots render {run} -o {film}", f"deepbots resume {run} {longer}", f"tensorboard --logdir {logs}"]
+    if solved:
+        further = [f"deepbots {command} {run}" for command in ("view", "report", "export")]
+    has_goal = solved is False or trained.program.defines_success
+    unsolved = has_goal and not solved
+    fall = decline_of(result.run, trained.record)
+    causes = _causes(result.run, quiet=quiet, permissions=permissions) if unsolved or fall is not None else []
+    if unsolved and not causes:
+        further.insert(0, f"deepbots eval {run} --details")
+    if causes:
+        commands = [causes[0].command, f"deepbots diagnose {run}"]
+        further = [*dict.fromkeys(filter(None, [*commands, *further[:1], *further[2:]]))]
+    data = {
+        "training": result,
+        "evaluation": found,
+        "solved": solved,
+        "decline": None if fall is None else fall.as_json(),
+        "cause": causes[0].as_json() if causes else None,
+    }
+    text = "\n" + records.evaluation_text(evaluation, cases)
+    no_cause = ["\nno cause found; `eval --details` shows from which starts the policy fails"] if unsolved and not causes else []
+    is_explained = bool(causes) and causes[0].cause == "fell_apart"  # whose text is this sentence
+    fallen = [] if fall is None or is_explained else [f"\nnote: {fall.text}"]
+    terminal.show(data, text, *fallen, *retries.cause_lines(causes), *no_cause, as_json=as_json, next_commands=further)
+
+
+def _causes(run: Path, *, quiet: bool, permissions: Permissions) -> list[Statement]:
+    """Why a training did not solve its task or fell apart, the most likely cause first."""
+    with terminal.transient_line("" if quiet else "looking for the cause ..."):
+        from deepbots_cli.insight.diagnosis import causes_after
+
+        try:
+            return causes_after(run, permissions)
+        except DeepbotsError:  # it has no finished episode, for example
+            return []
