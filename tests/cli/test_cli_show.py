@@ -72,7 +72,7 @@ def test_messages_have_a_size_where_it_is_fixed(deepbots, format, size):
 
 @pytest.mark.parametrize("format", ["struct", "msgpack"])
 def test_the_size_of_a_message_is_what_its_codec_makes(format):
-    from deepbots_cli.cli.inspection import message_size
+    from deepbots_cli.insight.inspection import message_size
     from deepbots_cli.runtime.messages import codec
 
     program = api.compile("cartpole", overrides=[f"messages.format={format}"]).program
