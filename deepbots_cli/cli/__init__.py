@@ -7,7 +7,7 @@ processes.py   the processes of `--workers` and `--cluster`
 exits.py       exceptions to exit codes
 terminal.py    output, color, progress
 tables.py      tables as text
-records.py     results of trainings and evaluations as text, JSON, CSV and JUnit
+records.py     results of trainings and evaluations as text, JSON and CSV
 trainings.py   the results of `train` and `resume`, and training_page.py the page beside them
 retries.py     the attempts of `train --retry`
 studies.py     the display and the table of a study of `tune`
