@@ -145,7 +145,7 @@ def critic_values(training: Training, policy: Any, observations: Sequence[Any]) 
         elif base == "DQN":
             values = policy.q_net(seen).max(dim=1, keepdim=True).values
         else:
-            found = policy.critic(seen, policy._predict(seen, deterministic=True))  # the actor of SAC and TQC would sample
+            found = policy.critic(seen, policy(seen, deterministic=True))  # the actor of SAC and TQC would sample
             # TQC has an array of quantiles (rows, critics, quantiles), others a tuple of columns.
             values = found.mean(dim=2) if isinstance(found, torch.Tensor) else torch.cat(found, dim=1)
         return np.asarray(values.min(dim=1).values.cpu().numpy(), float)
